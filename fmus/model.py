@@ -497,11 +497,12 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
     offered: Exchange | None = None
     if exchange:
         component, offered = exchanged(component)
-    called = kernels(component, exchange)
+    called, dependencies = kernels(component, exchange), _dependencies(component)
+    sampled = component.sampling is not None
     part = Submodel(
         name=component.name,
         variables=component.variables,
-        dependencies=_dependencies(component),
+        dependencies=dependencies,
         initial_dependencies=_initial_dependencies(component),
         state_names=tuple(s.name for s in component.states),
         max_step_s=component.max_step_s,
@@ -511,6 +512,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
         defines={
             "N_PREPARED": called.functions[0].size1_out(0),
             "STILL": int(called.still),
+            "HOLDS": int(called.still and sampled and not any(dependencies.values())),
             "STARTS_ALIKE": int(called.starts_alike),
         },
         shortcuts=called.cheaper,

@@ -232,9 +232,9 @@ def _system(model: FmuModel, token: str) -> str:
         for entry in model.entries
         for i, reference in [place[entry.first.name]]
     ]
+    ends = sorted(((place[a], place[b]) for a, b in model.connections), key=lambda ends: ends[1])
     connections = [
-        f"{{{', '.join(f'{{{i}, {reference}, 1}}' for i, reference in (place[a], place[b]))}}}"
-        for a, b in model.connections
+        f"{{{', '.join(f'{{{i}, {reference}, 1}}' for i, reference in pair)}}}" for pair in ends
     ]
     names = [f"model_{part.name}" for part in model.parts]
     return "\n".join(

@@ -160,6 +160,7 @@ const Model MODEL = {
 #endif
     .outputs = NAMED(outputs),
     .tangent = NAMED(tangent),
+    .holds = HOLDS,
 #ifdef EXCHANGED
     .n_continuous = N_CONTINUOUS,
     .continuous = continuous,

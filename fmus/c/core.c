@@ -67,16 +67,22 @@ static int allocate(Instance* c) {
     return 0;
 }
 
-/* Connections whose ends lie side by side make one wire. */
+/* The connections to each part, those that lie side by side as one wire. */
 static void lay_wires(Instance* c) {
-    for (unsigned i = 0; i < fmu.n_connections; i++) {
-        const Port source = fmu.connections[i].source, target = fmu.connections[i].target;
-        const double* from = c->parts[source.part].v + LANES * source.variable;
-        double* to = c->parts[target.part].v + LANES * target.variable;
-        Wire* last = c->wires + c->n_wires - 1;
-        if (i && from == last->from + last->count && to == last->to + last->count) last->count += LANES;
-        else c->wires[c->n_wires++] = (Wire){from, to, LANES};
-        c->parts[source.part].gives = 1;
+    Wire* next = c->wires;
+    unsigned i = 0;
+    FOR_EACH_PART(p) {
+        p->wires = next;
+        for (; i < fmu.n_connections && &c->parts[fmu.connections[i].target.part] == p; i++) {
+            const Port source = fmu.connections[i].source;
+            const double* from = c->parts[source.part].v + LANES * source.variable;
+            double* to = p->v + LANES * fmu.connections[i].target.variable;
+            if (next > p->wires && from == next[-1].from + next[-1].count && to == next[-1].to + next[-1].count)
+                next[-1].count += LANES;
+            else *next++ = (Wire){from, to, c->carried + LANES * i, LANES};
+            c->parts[source.part].gives = 1;
+        }
+        p->end = next;
     }
 }
 
@@ -243,6 +249,13 @@ static void integrate(Part* p, double h) {
     for (long k = 0; k < (long)n; k++) m->step(p, dt);
 }
 
+/* Whether a step changes nothing but the time: what changes at instants alone, with none due. */
+static int rests(const Instance* c, const Part* p, double time, double h) {
+    if (!p->model->holds || !p->ready) return 0;
+    const double period = p->v[LANES * p->model->sampling->period];
+    return c->state->start_time + (*p->samples + 1) * period - time > h + SAMPLE_TOLERANCE * period;
+}
+
 static int advance(Instance* c, Part* p, double time, double h) {
     const Sampling* s = p->model->sampling;
     const double samples = *p->samples;
@@ -271,26 +284,20 @@ static int advance(Instance* c, Part* p, double time, double h) {
 
 /* ---- parts together ---- */
 
-#define FOR_EACH_WIRE(W) for (const Wire* W = c->wires; W < c->wires + c->n_wires; W++)
+#define FOR_EACH_WIRE(W, P) for (const Wire* W = (P)->wires; W < (P)->end; W++)
 
-/* What is carried reaches the inputs. */
-static void receive(Instance* c) {
-    const double* value = c->carried;
-    FOR_EACH_WIRE(w)
-        for (unsigned i = 0; i < w->count; i++) w->to[i] = *value++;
+/* What is carried reaches the inputs of a part, or at once what the others have put out. */
+static void receive(Part* p, int carried) {
+    FOR_EACH_WIRE(w, p) {
+        const double* from = carried ? w->carried : w->from;
+        memcpy(w->to, from, w->count * sizeof *from);
+    }
 }
 
 /* What the parts have put out is carried. */
 static void give(Instance* c) {
-    double* value = c->carried;
-    FOR_EACH_WIRE(w)
-        for (unsigned i = 0; i < w->count; i++) *value++ = w->from[i];
-}
-
-/* Both at once: no input is an output. */
-static void hand_on(Instance* c) {
-    FOR_EACH_WIRE(w)
-        for (unsigned i = 0; i < w->count; i++) w->to[i] = w->from[i];
+    FOR_EACH_PART(p) FOR_EACH_WIRE(w, p)
+        memcpy(w->carried, w->from, w->count * sizeof *w->from);
 }
 
 /* Everything at the start, as start values and free inputs have it: the parts are visited in the
@@ -303,7 +310,7 @@ static int settle(Instance* c, int tangents) {
     }
     for (unsigned k = 0; k < fmu.n_visits; k++) {
         Part* p = &c->parts[fmu.visits[k]];
-        receive(c);
+        receive(p, 1);
         if (begin(c, p) || put_out(c, p)) return -1;
         if (tangents) p->model->tangent(p, 1, p->noise, p->change);
         for (unsigned i = 0; i < fmu.n_connections; i++) {
@@ -318,16 +325,6 @@ static int settle(Instance* c, int tangents) {
     return 0;
 }
 
-/* A part that passes its inputs on gets those of this instant; what it holds is of the last one. */
-static void receive_now(Instance* c, const Part* p) {
-    for (unsigned i = 0; i < fmu.n_connections; i++) {
-        const Port from = fmu.connections[i].source, to = fmu.connections[i].target;
-        if (&c->parts[to.part] == p)
-            memcpy(p->v + LANES * to.variable, c->parts[from.part].v + LANES * from.variable,
-                   from.count * LANES * sizeof *p->v);
-    }
-}
-
 static int refresh(Instance* c) {
     if (c->state->outputs == FRESH) return 0;
     if (c->state->mode < STEPPING) {
@@ -335,7 +332,7 @@ static int refresh(Instance* c) {
     } else {
         FOR_EACH_PART(p) {
             if (p->gives && c->state->outputs == REST_STALE) continue;
-            if (p->model->passes && !p->gives) receive_now(c, p);
+            if (p->model->passes && !p->gives) receive(p, 0); /* of this instant; what it holds is of the last */
             if (put_out(c, p)) return -1;
         }
     }
@@ -343,14 +340,18 @@ static int refresh(Instance* c) {
     return 0;
 }
 
-/* All parts step from the inputs held, then those that give put out; what no part reads waits until
- * somebody asks. */
-static int step_all(Instance* c, double time, double h) {
-    FOR_EACH_PART(p)
+/* All parts step from their inputs, carried or as just put out, then those that give put out; what
+ * no part reads waits until somebody asks. Outputs change after the last step alone. */
+static int step_all(Instance* c, double time, double h, int carried) {
+    FOR_EACH_PART(p) {
+        p->rests = rests(c, p, time, h);
+        if (p->rests) continue;
+        receive(p, carried);
         if (advance(c, p, time, h)) return -1;
+    }
     c->state->outputs = STALE;
     FOR_EACH_PART(p)
-        if (p->gives && put_out(c, p)) return -1;
+        if (p->gives && !p->rests && put_out(c, p)) return -1;
     return 0;
 }
 
@@ -364,11 +365,8 @@ static double on_grid(const Instance* c, double time) {
 /* n steps, the values handed on between them; those after the last are carried, since outputs that
  * somebody asks for feel the inputs held until then. */
 static int step_often(Instance* c, double time, double h, long n) {
-    receive(c);
-    for (long k = 0; k < n; k++) {
-        if (k > 0) hand_on(c);
-        if (step_all(c, n > 1 ? on_grid(c, time + k * h) : time, h)) return -1;
-    }
+    for (long k = 0; k < n; k++)
+        if (step_all(c, n > 1 ? on_grid(c, time + k * h) : time, h, k == 0)) return -1;
     give(c);
     if (fmu.n_connections) c->state->outputs = REST_STALE;
     return 0;
@@ -518,7 +516,7 @@ int core_enter_initialization(Instance* c) {
 int core_exit_initialization(Instance* c) {
     if (check_mode(c, INITIALIZING, INITIALIZING, "initialization", "ended")) return -1;
     if (fmu.n_connections && settle(c, 0)) return -1;
-    receive(c); /* what enters states alone may have come after its part's visit */
+    FOR_EACH_PART(p) receive(p, 1); /* what enters states alone may have come after its part's visit */
     FOR_EACH_PART(p)
         if (begin(c, p) || check_states(c, p)) return -1;
     c->state->mode = c->exchange ? IN_EVENT : STEPPING;

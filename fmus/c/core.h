@@ -91,6 +91,7 @@ typedef struct {
     unsigned n_crossings;
     const unsigned* crossings; /* variables at whose zeros the derivatives jump */
     int (*rests)(const Part* p); /* whether nothing feels what is done at sample instants */
+    int holds;  /* whether states and outputs change at sample instants alone, or with parameters */
     int passes; /* whether an output that nobody reads is an input and something held: of one instant */
 } Model;
 
@@ -104,6 +105,7 @@ typedef struct {
     Port source, target;
 } Connection;
 
+/* Connections are in the order of the parts where they end. */
 typedef struct {
     const char* token;
     double step; /* s, longest step between two exchanges of values */
@@ -120,6 +122,14 @@ typedef struct {
 extern const System fmu;
 
 /* ---- an instance ---- */
+
+/* Connections whose ends lie side by side in the state, and what of them is carried. */
+typedef struct {
+    const double* from;
+    double *to, *carried;
+    unsigned count;
+} Wire;
+
 struct Part {
     const Model* model;
     double *v, *x, *samples, *record;                 /* in the state: variables, states, sample
@@ -129,6 +139,8 @@ struct Part {
     int ready;                                        /* whether it is that of the present ones */
     void* data;                                       /* made by open() */
     int gives;                                        /* whether a connection starts here */
+    int rests;                                        /* whether the last step changed nothing */
+    const Wire *wires, *end;                          /* to its inputs */
 };
 
 /* FAILED: a step broke off, and the states are no longer those of any one time. */
@@ -143,19 +155,11 @@ typedef struct {
     double values[]; /* of the connections, then of the parts */
 } State;
 
-/* The ends of so many connections in the state, one beside the other. */
-typedef struct {
-    const double* from;
-    double* to;
-    unsigned count;
-} Wire;
-
 typedef struct {
     State* state;
     size_t state_size;
     double* carried; /* in the state, by connection */
-    Wire* wires;     /* in the order of the connections */
-    unsigned n_wires;
+    Wire* wires; /* part by part */
     void* host;      /* handles of the FMI shim, never part of the state */
     char exchange;   /* whether a solver outside integrates; else it is stepped */
     char message[320];

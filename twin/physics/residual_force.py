@@ -203,21 +203,20 @@ def distance(law: ForceLaw, x: ca.SX) -> ca.SX:
     return ca.sqrt(ca.fmax(ca.sumsqr(ca.mtimes(ca.SX(whole), x - law.centre)), 1e-30))
 
 
-def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, most: ca.SX) -> ca.SX:
-    """Specific force, m/s2, and angular acceleration, rad/s2, of a law, shape (6, 1).
+def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX) -> ca.SX:
+    """Specific force, m/s2, and angular acceleration, rad/s2, of a law before they are bounded,
+    shape (6, 1).
 
     Args:
         law: Law with the envelope.
         x: Values of `INPUTS`.
         linear: Weights in place of those of the law.
-        most: Bounds in place of those of the law, shape (6, 1).
     """
     d = distance(law, x)
     said = ca.mtimes(linear, features(x))
     if law.module is not None:
         said = said + law.module(x)
-    said = _fade(d) * said
-    return ca.fmin(ca.fmax(said, -most), most)
+    return _fade(d) * said
 
 
 def parameter_values(law: ForceLaw) -> dict[str, float]:
@@ -266,9 +265,11 @@ def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
     m.sampled(PERIOD_S, "Time between two evaluations, for which the bands of the noise are made")
     names, bounds = _parameter_names()
     linear = _weights(m, names, law.linear)
-    now = accelerations(law, x, linear, _bounds(m, bounds, law.most))
+    most, now = _bounds(m, bounds, law.most), accelerations(law, x, linear)
     said = [_held(m, f"law.{kind}_{a}", _unit(kind), now[i]) for i, (kind, a) in enumerate(OUTPUTS)]
-    acts = ca.mtimes(ca.SX(law.units), enabled * ca.vertcat(*said) + _noise(m, law.noise))
+    # Bounded after they are held: choices among them keep a compiler from multiplying in vectors.
+    within = ca.fmin(ca.fmax(ca.vertcat(*said), -most), most)
+    acts = ca.mtimes(ca.SX(law.units), enabled * within + _noise(m, law.noise))
     for i, (kind, a) in enumerate(OUTPUTS):
         unit, meaning = ("N", "Force along") if kind == "force" else ("N.m", "Moment about")
         m.output(f"{kind}_{a}", unit, f"{meaning} body {a} that the equations lack", acts[i])
@@ -333,21 +334,15 @@ def _unit(kind: str) -> str:
 
 
 def _weights(m: ComponentBuilder, names: list[list[str]], values: Array) -> ca.SX:
-    """A matrix of parameters with the weights of a law as start values."""
-    rows = []
-    for (kind, _), row, starts in zip(OUTPUTS, names, values.tolist(), strict=True):
-        unit, what = ("m/s2", "Specific force") if kind == "force" else ("rad/s2", "Acceleration")
-        rows.append(
-            ca.horzcat(
-                *[
-                    m.parameter(
-                        name, start, unit, f"{what} per {name.split('.', 2)[2]} in SI units"
-                    )
-                    for name, start in zip(row, starts, strict=True)
-                ]
-            )
-        )
-    return ca.vertcat(*rows)
+    """A matrix of parameters with the weights of a law as start values. Those of one feature follow
+    each other, so that a compiler multiplies it by several of them at once."""
+    weights = ca.SX(*values.shape)
+    for k, i in np.ndindex(values.T.shape):
+        name, kind = names[i][k], OUTPUTS[i][0]
+        what = "Specific force" if kind == "force" else "Acceleration"
+        meaning = f"{what} per {name.split('.', 2)[2]} in SI units"
+        weights[i, k] = m.parameter(name, float(values[i, k]), _unit(kind), meaning)
+    return weights
 
 
 def _bounds(m: ComponentBuilder, names: Sequence[str], values: Array) -> ca.SX:
