@@ -121,6 +121,8 @@ class Origin:
         tried: Scores of the ridges on flights left out; empty for a single flight.
         acceptance: Comparison with predictions that need no law, on flights left out.
         closed_loop: Missions in random wind before the law was released.
+        imu_noise: White noise of accelerometer, m/s2, and gyroscope, rad/s, in hover; zero where no
+            flight hovers, missing where no flight taught it.
     """
 
     vehicle: str
@@ -130,6 +132,7 @@ class Origin:
     tried: tuple[RidgeScore, ...] = ()
     acceptance: Acceptance = Acceptance()
     closed_loop: MissionCheck = MissionCheck()
+    imu_noise: tuple[float, ...] | UnsetType = UNSET
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -101,7 +101,7 @@ def twin(
         observer: Whether a driven twin has its disturbance observer on; with a learned model it
             always has.
         noise: Whether the noise of the learned force is included (`residual_force.noise.enabled`,
-            on).
+            on), and the white noise of accelerometer and gyroscope is that of its flights.
         accuracy: Errors on other flights, so that a driven twin outputs error bands and their
             validity; None: no such outputs.
 
@@ -132,7 +132,8 @@ def twin(
         if observer or force is not None or compensator is not None:
             assembly = assembly.with_starts({OBSERVER: 1.0})
     if noise:
-        assembly = assembly.with_starts({NOISE: 1.0})
+        white = force.model.imu_noise if force is not None else ()
+        assembly = assembly.with_starts({NOISE: 1.0} | imu_starts(white or ()))
     if observer:
         changes.append("an observer acts on it")
     if noise:
@@ -142,6 +143,11 @@ def twin(
 
 LAWLESS = "its training accepted no law: the untrained observer alone acts, where a log drives it"
 """What exports say of a twin whose training found none that flies better on other flights."""
+
+
+def imu_starts(white: Iterable[float]) -> dict[str, float]:
+    """Start values of the white noise of accelerometer, m/s2, and gyroscope, rad/s."""
+    return dict(zip(("imu.acc_noise", "imu.gyro_noise"), white, strict=False))
 
 
 def _taught(

@@ -1,11 +1,13 @@
 """Disturbance spectrum of a hover by third-octave, and the noise that gives the twin the same one.
 
-A twin in still air is calmer than any real aircraft. The missing disturbance is drawn inside the
-equations (`twin.physics.residual_force`), with one level of force and of moment for each
-third-octave. Because the controller responds to it, levels are found by equalisation as on a
-shaker: the exported twin hovers, and each level is scaled by the ratio of the flights' spectrum to
-the twin's. A lateral force causes a tilt: where that rotates the twin more than the flights rotate,
-the errors of both readings are balanced by the same factor, one too low and the other too high.
+A twin in still air is calmer than any real aircraft. What a reading has at all frequencies, its
+lowest density, is white noise of the sensor: aliased vibration of the rotors. The rest is motion.
+Its disturbance is drawn inside the equations (`twin.physics.residual_force`), with one level of
+force and of moment for each third-octave. Because the controller responds to it, levels are found
+by equalisation as on a shaker: the exported twin hovers, and each level is scaled by the ratio of
+the flights' spectrum to the twin's. A lateral force causes a tilt: where that rotates the twin more
+than the flights rotate, the errors of both readings are balanced by the same factor, one too low
+and the other too high.
 
 Source: equalisation of random vibration, Piersol & Paez, Harris' Shock and Vibration Handbook;
 power density, Welch, IEEE Trans. Audio Electroacoust. 15, 1967.
@@ -27,7 +29,7 @@ from twin.physics.residual_force import NOISE_HZ, OUTPUTS, noise_values
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.teacher_forced import GRID_S
 
-from ..exports.parts import NOISE, LearnedForce, twin
+from ..exports.parts import NOISE, LearnedForce, imu_starts, twin
 from ..exports.write import temporary_fmu
 from ..vehicles import Vehicle
 from .closed_loop import HOVER, controllable, flown
@@ -172,8 +174,20 @@ def _hovering(
         yield hovered
 
 
+def white_noise(wanted: Array) -> Array:
+    """Standard deviation of the white noise of accelerometer, m/s2, and gyroscope, rad/s, in
+    readings `READ_S` apart, shape (2,): density where it is lowest.
+
+    Args:
+        wanted: Densities, as of `wanted_levels`.
+    """
+    sensors = wanted.reshape(len(READINGS) // len(AXES), -1)
+    lowest = [min(row[row > 0], default=0.0) for row in sensors]
+    return np.sqrt(np.array(lowest) / (2 * READ_S))
+
+
 def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce) -> Array:
-    """Noise levels, `ForceLaw.noise`, with which the twin hovers as the flights do.
+    """Noise with which the twin hovers as the flights do.
 
     Args:
         flights: Flights; only those with a hover count.
@@ -181,25 +195,28 @@ def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
         force: Force law learned for it.
 
     Returns:
-        Levels, shape (6, len(NOISE_HZ)); zero where no flight hovers, or the twin does not.
+        By reading and the output that excites it, shape (6, 1 + len(NOISE_HZ)): `white_noise`, then
+        `ForceLaw.noise`; zero where no flight hovers, or the twin does not.
     """
     found = [own for f in flights if (own := flight_levels(f, vehicle)) is not None]
-    nothing = np.zeros((len(OUTPUTS), len(NOISE_HZ)))
+    nothing = np.zeros((len(OUTPUTS), 1 + len(NOISE_HZ)))
     if not found or not controllable(vehicle):
         return nothing
     wanted, middle = wanted_levels(found), np.array(NOISE_HZ)
-    noise = np.sqrt(wanted * middle * (_EDGE - 1 / _EDGE))
+    white = np.repeat(white_noise(wanted), len(AXES))[:, None]
+    above = np.maximum(wanted - white**2 * 2 * READ_S, 0.0)
+    noise = np.sqrt(above * middle * (_EDGE - 1 / _EDGE))
     noise[len(AXES) :] *= 2 * np.pi * middle  # a moment acts on the rates through an integrator
     with _hovering(vehicle, _with(force, noise + _LEAST)) as hovered:
         for _ in range(ROUNDS):
-            own = hovered(_starts(noise))
+            own = hovered(_starts(noise) | imu_starts(white[:: len(AXES), 0]))
             if own is None:
                 return nothing
             lacks = np.clip(wanted / own, 1 / MOST, MOST)
             turned = np.minimum(lacks[[_GYRO_Y, _GYRO_X]], 1.0)
             lacks[:2] = np.where(turned < 1, np.sqrt(lacks[:2] * turned), lacks[:2])
             noise = noise * np.sqrt(lacks)
-    return np.asarray(noise)
+    return np.hstack([white, noise])
 
 
 def hover_levels(
@@ -215,7 +232,7 @@ def hover_levels(
     if not force.model.law.noise.any():
         return ()
     with _hovering(vehicle, force) as hovered:
-        calm, drawn = hovered({NOISE: 0.0}), hovered({})
+        calm, drawn = hovered({NOISE: 0.0} | imu_starts((0.0, 0.0))), hovered({})
     if calm is None or drawn is None:
         return ()
     rows = []

@@ -6,12 +6,14 @@ import pytest
 from twin.physics.residual_force import NOISE_HZ
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.hover_noise import (
+    READ_S,
     READINGS,
     HoverLevel,
     flight_levels,
     levels,
     noise_claim,
     wanted_levels,
+    white_noise,
 )
 from uavtwin.vehicles import load_vehicle
 
@@ -39,6 +41,18 @@ def test_white_noise_has_one_level_up_to_half_of_its_rate() -> None:
     white = np.array([[sigma**2], [4 * sigma**2]]) / (rate_hz / 2)
     np.testing.assert_allclose(found[:, known] / white, 1, atol=0.35)
     np.testing.assert_allclose((found[:, known] / white).mean(axis=1), 1, atol=0.1)
+
+
+def test_what_a_sensor_has_at_all_frequencies_is_its_noise() -> None:
+    """And not what its axes move at some."""
+    sigma = np.repeat([0.3, 0.01], 3)
+    x = np.random.default_rng(1).normal(size=(20000, 6)) * sigma
+    t_s = np.arange(len(x)) * READ_S
+    x[:, 0] += np.cumsum(x[:, 1]) / 10
+    x[:, 4] += sum(0.05 * np.sin(2 * np.pi * f * t_s) for f in (1.0, 2.0, 4.0))
+    found = white_noise(wanted_levels([levels(x, 1 / READ_S)]))
+    np.testing.assert_allclose(found, sigma[::3], rtol=0.12)
+    assert not white_noise(np.zeros((6, len(NOISE_HZ)))).any()
 
 
 def test_a_line_is_no_noise() -> None:
