@@ -124,8 +124,9 @@ class FamilyPreset(Interface):
         ...
 
 
-class TrainedModel(Interface):
-    """A trained compensator of any family."""
+class TrainedModel(Model, Interface):
+    """A trained compensator of any family; `run` raises ModelError where rate or number of commands
+    differs from the training."""
 
     @property
     def family(self) -> str:
@@ -135,14 +136,6 @@ class TrainedModel(Interface):
     @property
     def info(self) -> ModelInfo[Any]:
         """Description of the model."""
-        ...
-
-    def run(self, flight: ResidualFlight) -> Corrected:
-        """Correction of the whole flight; each span starts from zero state.
-
-        Raises:
-            ModelError: Rate or number of commands differs from the training.
-        """
         ...
 
     def tensors(self) -> Tensors:

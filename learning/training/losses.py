@@ -1,7 +1,5 @@
 """Training losses: Eqs. 10-15 and Algorithm 1 of the paper, with the preset's switches."""
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -9,28 +7,8 @@ from ..data.clustering import Clusters
 from ..model.network import Latent, NetworkOut, Quantiser
 from ..preset import Preset
 
-
-@dataclass(frozen=True, slots=True)
-class Losses:
-    """Weighted parts of the loss; each a scalar.
-
-    Attributes:
-        reconstruction: Mean square error, summed over the clusters.
-        quantiser: Distance between latent and codes, summed over the clusters.
-        distribution: Differences of mean and spread, mean over the channels.
-        spread: Negative log likelihood of the predicted spread; its gradient reaches no other
-            output.
-    """
-
-    reconstruction: Tensor
-    quantiser: Tensor
-    distribution: Tensor
-    spread: Tensor
-
-    @property
-    def total(self) -> Tensor:
-        """Sum of all parts, which is differentiated."""
-        return self.reconstruction + self.quantiser + self.distribution + self.spread
+PARTS = ("reconstruction", "quantiser", "distribution", "spread")
+"""Names of the parts of the loss."""
 
 
 def losses(
@@ -40,8 +18,14 @@ def losses(
     clusters: Clusters,
     quantisers: list[Quantiser],
     preset: Preset,
-) -> Losses:
-    """All parts over one window.
+) -> dict[str, Tensor]:
+    """Weighted parts of the loss over one window by name, each a scalar; their sum is
+    differentiated.
+
+    `reconstruction`: mean square error, summed over the clusters; `quantiser`: distance between
+    latent and codes, summed over the clusters; `distribution`: differences of mean and spread, mean
+    over the channels; `spread`: negative log likelihood of the predicted spread, whose gradient
+    reaches no other output.
 
     Args:
         out: Output of the network, leading shape (batch, time).
@@ -68,12 +52,13 @@ def losses(
     if preset.spread_head:
         shrunk = error.detach() * torch.exp(-out.log_spread)
         spread = _mean((out.log_spread + shrunk**2 / 2) * scored, scored)
-    return Losses(
+    weighted = (
         preset.weight_reconstruction * reconstruction,
         preset.weight_quantiser * quantiser,
         preset.weight_distribution * distribution,
         spread,
     )
+    return dict(zip(PARTS, weighted, strict=True))
 
 
 def quantiser_loss(latent: Latent, codes: Tensor, preset: Preset) -> Tensor:

@@ -40,7 +40,7 @@ from ..model.network import ClusterNetwork, SvqNetwork
 from ..model.registry import check_preset
 from ..preset import LINEAR, PRESETS, PROTOCOLS, Preset, Protocol
 from .checkpoint import CHECKPOINT, TrainingState, load_checkpoint, save_checkpoint
-from .losses import Losses, losses
+from .losses import PARTS, losses
 from .problem import TrainingProblem
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def _epoch(piece: TrainingProblem, optimiser: torch.optim.Optimizer, epoch: int)
     quantisers = [n.quantiser for n in network.networks if isinstance(n, ClusterNetwork)]
     device = network.phase_embedding.device
     state = torch.zeros(0, device=device)
-    sums, steps = np.zeros(4), 0
+    every: list[dict[str, float]] = []
     windows = piece.samples.windows(
         preset.batch,
         preset.window,
@@ -113,23 +113,20 @@ def _epoch(piece: TrainingProblem, optimiser: torch.optim.Optimizer, epoch: int)
             continue
         parts = losses(out, here.target, here.scored, network.clusters, quantisers, preset)
         optimiser.zero_grad(set_to_none=True)
-        parts.total.backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(sum(parts.values()))  # type: ignore[arg-type]
         if preset.clip is not None:
             torch.nn.utils.clip_grad_norm_(network.parameters(), preset.clip)
         optimiser.step()
         if preset.clip_parameters is not None:
             _clamp(network, preset.clip_parameters)
-        sums += _numbers(parts)
-        steps += 1
-    means = sums / max(steps, 1)
-    if not np.all(np.isfinite(means)):
+        every.append({name: float(part.detach()) for name, part in parts.items()})
+    means = {name: sum(e[name] for e in every) / max(len(every), 1) for name in PARTS}
+    if not np.all(np.isfinite(list(means.values()))):
         raise ModelError(
             f"training: the loss is not finite in epoch {epoch + 1}; lower the preset's "
             f"learning_rate ({preset.learning_rate:g})"
         )
-    names = ("reconstruction", "quantiser", "distribution", "spread")
-    entry = dict(zip(names, (float(m) for m in means), strict=True))
-    return {"epoch": epoch + 1, "learning_rate": rate, **entry, "validation": None}
+    return {"epoch": epoch + 1, "learning_rate": rate, **means, "validation": None}
 
 
 @torch.no_grad()
@@ -137,11 +134,6 @@ def _clamp(network: SvqNetwork, size: float) -> None:
     """Limit the magnitude of every weight."""
     for parameter in network.parameters():
         parameter.clamp_(-size, size)
-
-
-def _numbers(parts: Losses) -> Array:
-    values = (parts.reconstruction, parts.quantiser, parts.distribution, parts.spread)
-    return np.array([float(v.detach()) for v in values])
 
 
 def _schedule(preset: Preset, epoch: int) -> float:

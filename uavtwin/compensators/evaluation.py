@@ -135,7 +135,26 @@ class Evaluation(PageMixin):
     def claim(self) -> str:
         """Where the model beats the best trivial baseline, and where it does not, in one
         sentence."""
-        return evaluation_claim(self)
+        what = _task(self.model)
+        if self.in_use is not None:
+            return f"{what}: {self.in_use.claim}."
+        if self.model.info.protocol == "reconstruct":
+            return (
+                f"{what}: the model sees the measurement it repeats; holding that measurement "
+                "itself leaves nothing, and no model can beat it."
+            )
+        better, worse = [], []
+        for group, part in by_group(self).groupby("group", sort=False):
+            own = float(part.loc[part["model"] == MODEL, "rmse"].iloc[0])
+            best = float(part.loc[~part["model"].isin((MODEL, LINEAR_PART)), "rmse"].min())
+            if own < best:
+                better.append(f"{group} by {percent(1 - own / best)}")
+            elif own > best:
+                over = f"by {percent(own / best - 1)}" if best else "(baseline exact)"
+                worse.append(f"{group} {over}")
+        sides = {"better than the best trivial baseline": better, "worse": worse}
+        text = "; ".join(f"{how} for {', '.join(some)}" for how, some in sides.items() if some)
+        return f"{what}: {text or 'as good as the best trivial baseline everywhere'}."
 
     def frame(self) -> pd.DataFrame:
         """Table with one row per model, flight, phase and channel."""
@@ -293,31 +312,6 @@ def by_group(found: Evaluation) -> pd.DataFrame:
     return pooled(whole, ("group", "unit", "model"))
 
 
-def evaluation_claim(found: Evaluation) -> str:
-    """Where the model beats the best baseline, and where it does not, in one sentence."""
-    what = _task(found.model)
-    if found.in_use is not None:
-        return f"{what}: {found.in_use.claim}."
-    if found.model.info.protocol == "reconstruct":
-        return (
-            f"{what}: the model sees the measurement it repeats; holding that measurement itself "
-            "leaves nothing, and no model can beat it."
-        )
-    better, worse = [], []
-    for group, part in by_group(found).groupby("group", sort=False):
-        own = float(part.loc[part["model"] == MODEL, "rmse"].iloc[0])
-        best = float(part.loc[~part["model"].isin((MODEL, LINEAR_PART)), "rmse"].min())
-        if own < best:
-            better.append(f"{group} by {percent(1 - own / best)}")
-        elif own > best:
-            worse.append(
-                f"{group} by {percent(own / best - 1)}" if best else f"{group} (baseline exact)"
-            )
-    text = f"better than the best trivial baseline for {', '.join(better)}" if better else ""
-    text += ("; " if better and worse else "") + (f"worse for {', '.join(worse)}" if worse else "")
-    return f"{what}: {text or 'as good as the best trivial baseline everywhere'}."
-
-
 def _task(model: TrainedModel) -> str:
     info = model.info
     return task_text(info.protocol, info.horizon, info.rate_hz)
@@ -365,7 +359,7 @@ def _page(found: Evaluation, budget: Budget) -> str:
     rows = by_group(found)
     return render(
         "evaluation.html.j2",
-        claim=evaluation_claim(found),
+        claim=found.claim,
         in_use=found.in_use,
         info=found.model.info,
         task=_task(found.model),

@@ -19,6 +19,7 @@ from page_rigs.figures import figures_of
 
 from learning.data.channels import CHANNELS
 from learning.data.flights import residual_flight
+from learning.model.family import TrainedModel
 from learning.model.folder import load
 from learning.training.checkpoint import CHECKPOINT
 from twin.errors import TwinError
@@ -26,7 +27,7 @@ from twin.logs import read_flight, write_flight
 from twin.residuals.aligned import align_flight
 from twin.vehicle_file import load_vehicle
 from uavtwin.cli import main
-from uavtwin.compensators.evaluation import Evaluation, evaluation_claim
+from uavtwin.compensators.evaluation import Evaluation
 from uavtwin.demo.flights import fly
 from uavtwin.force.open_loop import driving_inputs
 
@@ -240,8 +241,9 @@ def test_the_claim_of_an_evaluation(
     ]
     monkeypatch.setattr("uavtwin.compensators.evaluation.by_group", lambda _: pd.DataFrame(rows))
     info = SimpleNamespace(protocol="track", horizon=1, rate_hz=100.0)
-    found = cast(Evaluation, SimpleNamespace(model=SimpleNamespace(info=info), in_use=None))
-    assert evaluation_claim(found).endswith(text)
+    model = cast(TrainedModel, SimpleNamespace(info=info))
+    found = Evaluation(model, pd.DataFrame(), (), None, (), "python")
+    assert found.claim.endswith(text)
 
 
 @pytest.mark.slow
