@@ -262,12 +262,7 @@ def _sensor_training(
 
     def write(folder: Path) -> TrainResult:
         """Train, and write the model and its card."""
-        prepared = training.prepare(
-            plan, flights, vehicle, rate_hz, lambda done: progress(0.1 * done)
-        )
-        written = training.run_training(
-            plan, prepared, folder, out, lambda done: progress(0.1 + 0.9 * done)
-        )
+        written = training.run_training(plan, flights, vehicle, rate_hz, folder, out, progress)
         claim = training.training_claim(folder)
         written.append(write_card(folder, claim, wanted.license))
         in_use = training.in_use_of(folder)

@@ -4,14 +4,16 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import numpy as np
 
-from fmus.compensator import read_network
+from fmus.compensator import NetworkFile, read_network
 from learning.compute import device_named
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residuals_of, restart_before_s, write_residuals
@@ -26,11 +28,9 @@ from learning.training.train import fit_model
 from twin.errors import TwinError
 from twin.formatting import number, percent
 from twin.logs import Flight
-from twin.physics.rotors import Drive
-from twin.representation import short_repr
 from twin.residuals.teacher_forced import choose_drive
 
-from ..exports.parts import LearnedForce, learned_force
+from ..exports.parts import learned_force
 from ..flights import check_names
 from ..model_card import validation_errors
 from ..output import check_folder
@@ -102,6 +102,7 @@ def plan_training(wanted: "Wanted", out: Path, force: bool) -> Plan:
 
 IMU_RATES_HZ = (50.0, 1000.0)
 """Lowest and highest IMU rate, Hz, of a compensator where no rate is given."""
+_COMPARED = 0.1  # approximate share of the work done when the flights are compared
 MOST_FOLDS = 3
 """Maximum number of cross-validation folds (groups of flights)."""
 
@@ -114,100 +115,77 @@ def imu_rate_hz(flights: Sequence[Flight]) -> float:
     return 1000 / round(1000 / float(np.clip(slowest, *IMU_RATES_HZ)))
 
 
-@dataclass(frozen=True, slots=True)
-class Prepared:
-    """Flights prepared for a training.
-
-    Attributes:
-        residuals: Residuals for the training.
-        compared: Residuals for the baselines; in `free`, of a twin that follows the measured
-            motion.
-        used: Flights along which the exported twin is evaluated; () except for `free`, and for
-            families without FMU.
-        vehicle: Vehicle whose twin is corrected.
-        drive: Drive of the exported twin.
-        law: Learned force law of the twin; None: without.
-    """
-
-    residuals: tuple[ResidualFlight, ...]
-    compared: tuple[ResidualFlight, ...]
-    used: tuple[UsedFlight, ...]
-    vehicle: Vehicle
-    drive: Drive
-    law: LearnedForce | None = None
-
-    __repr__ = short_repr
-
-
-def prepare(
+def run_training(
     plan: Plan,
     flights: Sequence[Flight],
     vehicle: Vehicle,
     rate_hz: float,
-    progress: Progress,
-) -> Prepared:
-    """Residuals of flights against the vehicle's twin, which is run according to the protocol.
-
-    Raises:
-        TwinError: A flight cannot be compared with the vehicle, or two flights have one name.
-    """
-    check_names(flights)
-    before_s = restart_before_s(plan.task.protocol, plan.task.horizon, rate_hz)
-    compared = residuals_of(flights, vehicle, rate_hz, before_s, progress)
-    drive = choose_drive(flights[0], vehicle)
-    if plan.task.protocol != "free" or not plan.family.onnx:
-        return Prepared(compared, compared, (), vehicle, drive)
-    used = tuple(UsedFlight(flight, vehicle) for flight in flights)
-    law = None if plan.law is None else learned_force(plan.law)
-    with driven_fmu(vehicle, drive, law=law) as fmu:
-        in_use = tuple(one.residuals(fmu, rate_hz) for one in used)
-    return Prepared(in_use, compared, used, vehicle, drive, law)
-
-
-def run_training(
-    plan: Plan,
-    prepared: Prepared,
     out: Path,
     checkpoints: Path,
     progress: Progress,
 ) -> list[str]:
-    """Train, export, evaluate the exported twin and write the report.
+    """Train on residuals of flights, export, evaluate the exported twin and write the report.
 
     Args:
         plan: Settings of the training.
-        prepared: Prepared flights.
+        flights: Training flights.
+        vehicle: Vehicle whose twin is corrected.
+        rate_hz: Sample rate, 1000 Hz over an integer.
         out: Folder of the results.
         checkpoints: Folder of the checkpoint, from which the training resumes.
         progress: Called with the share done, 0..1.
 
     Returns:
         Names of the files, the report first.
+
+    Raises:
+        TwinError: A flight cannot be compared with the vehicle, or two flights have one name.
     """
-    vehicle, text = prepared.vehicle, prepared.vehicle.toml()
+    check_names(flights)
+    before_s = restart_before_s(plan.task.protocol, plan.task.horizon, rate_hz)
+    compared = residuals_of(
+        flights, vehicle, rate_hz, before_s, lambda done: progress(_COMPARED * done)
+    )
+    residuals, used = compared, []
+    law = None if plan.law is None else learned_force(plan.law)
+    driven = partial(driven_fmu, vehicle, choose_drive(flights[0], vehicle), law=law)
+    if plan.task.protocol == "free" and plan.family.onnx:
+        used = [UsedFlight(flight, vehicle) for flight in flights]
+        with driven() as fmu:
+            residuals = tuple(one.residuals(fmu, rate_hz) for one in used)
+    text = vehicle.toml()
     task = replace(
         plan.task,
         vehicle=vehicle.name,
         vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
         checkpoints=checkpoints,
     )
-    model = fit_model(
-        prepared.residuals, plan.family, plan.preset, task, out, lambda done, _: progress(done)
-    )
-    in_use = None
-    if prepared.used and isinstance(model, Compensator):
-        in_use = _gated(model, prepared, task, out)
+
+    def share(done: float, left_s: float | None) -> None:
+        progress(_COMPARED + (1 - _COMPARED) * done)
+
+    model = fit_model(residuals, plan.family, plan.preset, task, out, share)
+    if used and isinstance(model, Compensator):
+        in_use = _gated(model, residuals, used, driven, task, out)
         save(model, out)
         (out / IN_USE).write_text(json.dumps(in_use.json(), indent=1) + "\n", "utf-8")
     exported = plan.family.export(model, out)
     (out / VEHICLE_FILE).write_text(text, "utf-8")
-    write_residuals(prepared.compared, out / RESIDUALS)
-    _write_page(out, prepared.compared)
+    write_residuals(compared, out / RESIDUALS)
+    _write_page(out, compared)
     names = (REPORT, *exported, WEIGHTS, MODEL, CURVE, VEHICLE_FILE, RESIDUALS, IN_USE)
     own = [] if plan.law is None else copy_force(plan.law, out)
     return [*(n for n in names if (out / n).is_file()), *own]
 
 
-def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path) -> InUseRecord:
+def _gated(
+    model: Compensator,
+    residuals: Sequence[ResidualFlight],
+    used: Sequence[UsedFlight],
+    driven: Callable[[NetworkFile], AbstractContextManager[Path]],
+    task: TrainingTask,
+    out: Path,
+) -> InUseRecord:
     """Disable the channels in which the correction does not reduce the error of the exported twin.
 
     Cross-validation over flights with the linear prediction; a single flight is corrected by the
@@ -215,39 +193,31 @@ def _gated(model: Compensator, prepared: Prepared, task: TrainingTask, out: Path
 
     Args:
         model: Trained model; it is changed.
-        prepared: Prepared flights.
+        residuals: Residuals of the flights.
+        used: The same flights, along which the exported twin is evaluated.
+        driven: Context with the FMU of the driven twin with a compensator.
         task: Task of the training.
         out: Folder for temporary files.
 
     Returns:
         Errors with the corrections that remain enabled.
     """
-    flights, n = prepared.used, len(prepared.used)
-    found = []
-    for k in range(min(n, MOST_FOLDS)) if n > 1 else ():
-        others = [r for i, r in enumerate(prepared.residuals) if i % MOST_FOLDS != k]
-        left_out = [f for i, f in enumerate(flights) if i % MOST_FOLDS == k]
+    n, found = len(used), list[Corrections]()
+    for k in range(min(n, MOST_FOLDS)):
+        others = [r for i, r in enumerate(residuals) if i % MOST_FOLDS != k]
+        left_out = [f for i, f in enumerate(used) if i % MOST_FOLDS == k]
         with tempfile.TemporaryDirectory(dir=out) as place:
-            family, preset = preset_named("linear")
-            alone = replace(task, checkpoints=None)
-            taught = fit_model(others, family, preset, alone, Path(place))
-            found += _used(taught, left_out, prepared, Path(place))
-    if n == 1:
-        with tempfile.TemporaryDirectory(dir=out) as place:
-            found = _used(model, flights, prepared, Path(place))
+            taught: TrainedModel = model
+            if others:
+                family, preset = preset_named("linear")
+                alone = replace(task, checkpoints=None)
+                taught = fit_model(others, family, preset, alone, Path(place))
+            family_named(taught.family).export(taught, Path(place))
+            with driven(read_network(Path(place))) as fmu:
+                found += [flight.corrections(fmu) for flight in left_out]
     shut = harmful([record_of([f.beyond_offsets()], "left out") for f in found])
     model.shut([CHANNELS.index(c) for c in shut])
     return record_of(found, "left out" if n > 1 else "same", shut)
-
-
-def _used(
-    model: TrainedModel, flights: Sequence[UsedFlight], prepared: Prepared, folder: Path
-) -> list[Corrections]:
-    """Readings of flights in the exported twin with the compensator."""
-    family_named(model.family).export(model, folder)
-    network = read_network(folder)
-    with driven_fmu(prepared.vehicle, prepared.drive, network, prepared.law) as fmu:
-        return [flight.corrections(fmu) for flight in flights]
 
 
 def in_use_of(out: Path) -> InUseRecord | None:
