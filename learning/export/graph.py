@@ -1,7 +1,7 @@
 """A small builder of ONNX graphs: operators as Python's own, constants as arrays, reproducible
 bytes."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +21,11 @@ BATCH = "batch"
 """Name of the first axis of every input and output."""
 
 
+def _operator(kind: str) -> "Callable[[Value, Operand], Value]":
+    """Method that adds an operator with two inputs."""
+    return lambda self, other: self.graph.op(kind, self, other)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Value:
     """A tensor of a graph; arithmetic adds an operator, and numbers become constants.
@@ -33,29 +38,14 @@ class Value:
     graph: "Graph"
     name: str
 
-    def __add__(self, other: "Operand") -> "Value":
-        return self.graph.op("Add", self, other)
-
-    def __sub__(self, other: "Operand") -> "Value":
-        return self.graph.op("Sub", self, other)
-
-    def __mul__(self, other: "Operand") -> "Value":
-        return self.graph.op("Mul", self, other)
-
-    def __truediv__(self, other: "Operand") -> "Value":
-        return self.graph.op("Div", self, other)
-
-    def __matmul__(self, other: "Operand") -> "Value":
-        return self.graph.op("MatMul", self, other)
-
-    def __gt__(self, other: "Operand") -> "Value":
-        return self.graph.op("Greater", self, other)
-
-    def __lt__(self, other: "Operand") -> "Value":
-        return self.graph.op("Less", self, other)
-
-    def __le__(self, other: "Operand") -> "Value":
-        return self.graph.op("LessOrEqual", self, other)
+    __add__ = _operator("Add")
+    __sub__ = _operator("Sub")
+    __mul__ = _operator("Mul")
+    __truediv__ = _operator("Div")
+    __matmul__ = _operator("MatMul")
+    __gt__ = _operator("Greater")
+    __lt__ = _operator("Less")
+    __le__ = _operator("LessOrEqual")
 
     def clip(self, least: "Operand", most: "Operand") -> "Value":
         """Elementwise limits, arrays or numbers."""

@@ -68,15 +68,12 @@ class LstmStack(nn.Module):
 
     def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Outputs (batch, time, units) and next state for x (batch, time, inputs)."""
+        parts = torch.split(state, [n for n in self.units for _ in range(2)], dim=-1)
         states = []
-        for layer, (h, c) in zip(self.layers, self._unpacked(state), strict=True):
+        for layer, h, c in zip(self.layers, parts[::2], parts[1::2], strict=True):
             x, (h, c) = layer(x, (h.unsqueeze(0).contiguous(), c.unsqueeze(0).contiguous()))
             states += [h.squeeze(0), c.squeeze(0)]
         return x, torch.cat(states, dim=-1)
-
-    def _unpacked(self, state: Tensor) -> list[tuple[Tensor, Tensor]]:
-        parts = torch.split(state, [n for n in self.units for _ in range(2)], dim=-1)
-        return list(zip(parts[::2], parts[1::2], strict=True))
 
 
 class Quantiser(nn.Module):
@@ -177,11 +174,21 @@ class ClusterNetwork(nn.Module):
             phase: Embedding of the phase, shape (batch, time, phase_size).
             state: State, shape (batch, state_size).
         """
-        encoder_state, decoder_state = self._halves(state)
+        sizes = [self.encoder.state_size, self.decoder.state_size]
+        encoder_state, decoder_state = torch.split(state, sizes, dim=-1)
         h, encoder_state = self.encoder(torch.cat([seen, phase], dim=-1), encoder_state)
-        code, latent = self.quantiser(self._latent(h, seen))
+        z = self.to_latent(h)
+        if self.skip_in is not None:
+            z = z + self.skip_in(seen)
+        code, latent = self.quantiser(z)
         h, decoder_state = self.decoder(torch.cat([code, phase], dim=-1), decoder_state)
-        y, log_spread = self._output(h, code)
+        y = self.to_output(h)
+        if self.skip_out is not None:
+            y = y + self.skip_out(code)
+        log_spread = torch.zeros_like(y)
+        if self.to_spread is not None:
+            # the spread learns from the error, never the other way round
+            log_spread = self.to_spread(h.detach()).clamp(-LOG_SPREAD_LIMIT, LOG_SPREAD_LIMIT)
         return y, log_spread, latent, torch.cat([encoder_state, decoder_state], dim=-1)
 
     def _start(self, n_channels: int, copies: bool, gain: float) -> None:
@@ -199,25 +206,6 @@ class ClusterNetwork(nn.Module):
                 through = self.quantiser.response() @ self.skip_in.weight[:, :n_channels]
                 self.skip_out.weight.copy_(torch.linalg.pinv(through))
                 self.skip_out.bias.copy_(-self.skip_out.weight @ self.quantiser.at_rest())
-
-    def _halves(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        sizes = [self.encoder.state_size, self.decoder.state_size]
-        encoder, decoder = torch.split(state, sizes, dim=-1)
-        return encoder, decoder
-
-    def _latent(self, h: Tensor, seen: Tensor) -> Tensor:
-        z: Tensor = self.to_latent(h)
-        return z if self.skip_in is None else z + self.skip_in(seen)
-
-    def _output(self, h: Tensor, code: Tensor) -> tuple[Tensor, Tensor]:
-        y: Tensor = self.to_output(h)
-        if self.skip_out is not None:
-            y = y + self.skip_out(code)
-        if self.to_spread is None:
-            return y, torch.zeros_like(y)
-        # the spread learns from the error, never the other way round
-        log_spread = self.to_spread(h.detach())
-        return y, log_spread.clamp(-LOG_SPREAD_LIMIT, LOG_SPREAD_LIMIT)
 
 
 class SvqNetwork(nn.Module):
@@ -272,16 +260,15 @@ class SvqNetwork(nn.Module):
             state: State, shape (batch, state_size).
         """
         embedded = phase @ self.phase_embedding
-        ys, spreads, latents, states = [], [], [], []
+        features = features if self.sees_features else features[..., :0]
+        found = []
         parts = torch.split(state, self._sizes(), dim=-1)
         for network, cluster, part in zip(self.networks, self.clusters, parts, strict=True):
-            y, spread, latent, after = network(self._seen(known, features, cluster), embedded, part)
-            ys.append(y)
-            spreads.append(spread)
-            latents.append(latent)
-            states.append(after)
-        out = NetworkOut(self._in_order(ys), self._in_order(spreads), tuple(latents))
-        return out, torch.cat(states, dim=-1)
+            own = known[..., list(cluster) if self.sees_known else []]
+            found.append(network(torch.cat([own, features], dim=-1), embedded, part))
+        ys, spreads, latents, states = zip(*found, strict=True)
+        y, spread = (torch.cat(each, dim=-1)[..., self.order] for each in (ys, spreads))
+        return NetworkOut(y, spread, latents), torch.cat(states, dim=-1)
 
     def fill_unseen(self, seen: Sequence[bool]) -> None:
         """Set the embedding of phases without training data to the mean of the others."""
@@ -292,10 +279,3 @@ class SvqNetwork(nn.Module):
 
     def _sizes(self) -> list[int]:
         return [n.state_size for n in self.networks if isinstance(n, ClusterNetwork)]
-
-    def _seen(self, known: Tensor, features: Tensor, cluster: Sequence[int]) -> Tensor:
-        parts = [known[..., list(cluster)]] if self.sees_known else []
-        return torch.cat([*parts, features] if self.sees_features else parts, dim=-1)
-
-    def _in_order(self, parts: Sequence[Tensor]) -> Tensor:
-        return torch.cat(list(parts), dim=-1)[..., self.order]
