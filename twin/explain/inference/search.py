@@ -390,11 +390,10 @@ def _uncovered(
     if key in sought:
         return None
     sought.add(key)
-    best = state
-    for on, x in hidden_starts(problem, laplace, state):
-        there = problem.loosened(on, state.kappa, laplace.spectrum, x, log_posterior(best))
-        best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best
-    return None if best is state else best
+    least = log_posterior(state)
+    starts = hidden_starts(problem, laplace, state)
+    fits = (problem.loosened(on, state.kappa, laplace.spectrum, x, least) for on, x in starts)
+    return next((fit for fit in fits if log_posterior(fit) > least + MIN_GAIN), None)
 
 
 def _mounted(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:

@@ -70,8 +70,8 @@ def leaves_motion(spectrum: Spectrum) -> dict[str, bool]:
 
 
 def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> list[Start]:
-    """Points of the valleys of an effect with the largest log posterior over all other numbers, its
-    own fixed."""
+    """Best points of the valleys of an effect, where they are more probable than the state: over
+    all other numbers, its own fixed, with the largest day-to-day variation."""
     b = problem.priors
     own = np.array([i for i in b.of([cause]) if not b.shape[i]])
     shapes = np.array([i for i in b.of([cause]) if b.shape[i]], dtype=np.intp)
@@ -115,7 +115,9 @@ def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> li
         for size, shape in product(SIZES, SHAPES if len(shapes) else (1.0,)):
             x = at(size, shape, numbers)
             held = problem.laplace(there(x).only(problem.moving(rest)))
-            places.append((held.best(rest, state.kappa).evidence, (on, x)))
+            evidence = held.best(rest, 1.0).evidence
+            if evidence > state.evidence:
+                places.append((evidence, (on, x)))
         found += sorted(places, key=lambda p: -p[0])[:STARTS]
     return [start for _, start in sorted(found, key=lambda f: -f[0])]
 
