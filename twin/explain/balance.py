@@ -577,15 +577,6 @@ def _log_shaking(cause: str, shaken: float | None) -> float:
 # -- as a result --------------------------------------------------------------------------------
 
 
-def effect_of_balance(balance: Balance, vehicle: Vehicle, trim: Trim) -> StochasticEffect | None:
-    """The named cause in the form of the zero-mean effects; None: there is none."""
-    named = balance.named
-    if named is None:
-        return None
-    change = {n: (named.values[n], sd) for n, sd in named.deviations.items()}
-    return changed_by(named.cause, change, named.probability, vehicle, trim.channels)
-
-
 def changed_by(
     effect: str,
     change: Mapping[str, tuple[float, float]],
@@ -593,7 +584,8 @@ def changed_by(
     vehicle: Vehicle,
     channels: tuple[str, ...],
 ) -> StochasticEffect:
-    """The same for any change, "effect.number" -> change and its standard deviation."""
+    """A change in the form of the zero-mean effects: "effect.number" -> change and its standard
+    deviation."""
     before = {n.full: n.now for n in numbers_of([EFFECTS[effect]], vehicle)}
     values = {n: v + change.get(n, (0.0, 0.0))[0] for n, v in before.items()}
     intervals = {

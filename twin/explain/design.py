@@ -150,7 +150,7 @@ def _held(naming: Naming, fitted: Fit) -> Held:
     answers = whitened.model.channels(own, at)
     blocks = blocks_of(answers, whitened.noise, whitened.settings).values()
     numbers = [whitened.model.numbers[i] for i in own]
-    prior = np.diag([1 / n.sd**2 for n in numbers])
+    prior = np.diag([(4 / np.ptp(n.about.bounds)) ** 2 for n in numbers])
     return Held(
         np.sum([b.gram for b in blocks], axis=0) + prior,
         np.array([n.about.bounds[0] - at[n.full] for n in numbers]),

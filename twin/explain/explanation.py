@@ -25,7 +25,6 @@ from .balance import (
     balance_of,
     changed_by,
     channels_of_balance,
-    effect_of_balance,
     trim_of,
 )
 from .design import Suggestion, next_manoeuvre
@@ -205,24 +204,24 @@ def explain(
     driven = [text for f in (*read, *away) for text in drive_warnings(f, vehicle)]
     stuck = [s for f in (*read, *away) for s in stuck_channels(f, settings.stochastic.stuck)]
     fit, held = ([without_stuck(f, stuck) for f in some] for some in (read, away))
-    parts = _parts(fit, held, vehicle, payloads, settings)
+    fit, held, spared, unread, notes = _parts(fit, held, vehicle, payloads, settings)
     found = Explanation(
         "unusable",
         vehicle,
-        tuple(f.name for f in parts.fit or flights),
-        reasons=tuple(() if parts.fit else parts.unread),
-        warnings=(*partly, *driven, *parts.warnings),
-        holdout=parts.away,
+        tuple(f.name for f in fit or flights),
+        reasons=tuple(() if fit else unread),
+        warnings=(*partly, *driven, *notes),
+        holdout=spared,
         settings=settings,
         since=calibrated,
         recorded=(*read, *away),
     )
-    if not parts.fit:
+    if not fit:
         return found
     try:
-        channels = _balanced(parts.fit, vehicle, payloads) if since else None
+        channels = _balanced(fit, vehicle, payloads) if since else None
         naming = name_effects(
-            parts.fit,
+            fit,
             vehicle,
             seed,
             lambda done: progress(0.6 * done),
@@ -245,13 +244,13 @@ def explain(
         found,
         warnings=(*found.warnings, *_not_observable(naming), *_drifting(naming)),
         hovers=hovers_of(found.recorded, vehicle),
-        driven_by={f.name: driven_by(f, vehicle) for f in (*parts.fit, *parts.held)},
+        driven_by={f.name: driven_by(f, vehicle) for f in (*fit, *held)},
     )
     progress(0.65)
     found = _with_equations(found, seed)
     progress(0.75)
-    found = _with_gap(found, parts.held, seed, payloads)
-    found = _without_refuted(found, parts.held, seed, payloads)
+    found = _with_gap(found, held, seed, payloads)
+    found = _without_refuted(found, held, seed, payloads)
     progress(0.85)
     if suggest and found.verdict in ("named", "cannot_tell"):
         found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle))
@@ -282,45 +281,30 @@ def calibrated_on(vehicle: Vehicle) -> tuple[str, ...]:
     return vehicle.calibration.flights
 
 
-@dataclass(frozen=True, slots=True)
-class _Parts:
-    """Flights for the fit, and held-out ones.
-
-    Attributes:
-        fit: Flights for the fit; empty: none is usable.
-        held: Held-out flights.
-        away: Held-out flights or spans, for the report.
-        unread: Reasons why flights were not used in the fit.
-        warnings: Warnings.
-    """
-
-    fit: list[Flight]
-    held: list[Flight] = field(default_factory=list)
-    away: tuple[HeldOut, ...] = ()
-    unread: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-
-
 def _parts(
     flights: Sequence[Flight],
     holdout: Sequence[Flight],
     vehicle: Vehicle,
     payloads: Payloads | None,
     settings: SearchSettings,
-) -> _Parts:
-    """The usable flights; where none is held out, time blocks of each are."""
+) -> tuple[list[Flight], list[Flight], tuple[HeldOut, ...], list[str], list[str]]:
+    """The usable flights; where none is held out, time blocks of each are.
+
+    Returns:
+        Flights for the fit; held-out flights; these or their spans, for the report; reasons why
+        flights were not used in the fit; warnings.
+    """
     (fit, reasons), (held, left_out) = (
         usable_of(some, vehicle, payloads, settings) for some in (flights, holdout)
     )
     if not fit:
-        return _Parts([], unread=reasons)
+        return [], [], (), reasons, []
     warnings = [f"left out: {reason}" for reason in reasons + left_out]
     if unknown := [f.name for f in (*fit, *held) if f.indoors is None]:
         warnings.append(UNKNOWN_SITE.format(", ".join(unknown)))
     if held:
-        return _Parts(fit, held, tuple(HeldOut(f.name) for f in held), warnings=warnings)
-    spans = [held_out_spans(f, settings.holdout) for f in fit]
-    both = list(zip(fit, spans, strict=True))
+        return fit, held, tuple(HeldOut(f.name) for f in held), [], warnings
+    both = [(f, held_out_spans(f, settings.holdout)) for f in fit]
     (fit, unread), (held, none_left) = (
         with_readings([hidden(f, s, inside) for f, s in both], vehicle, payloads)
         for inside in (True, False)
@@ -330,7 +314,7 @@ def _parts(
         *(f"left out: {reason}" for reason in unread),
         *(f"left out of what is held out: {reason}" for reason in none_left),
     ]
-    return _Parts(fit, held, tuple(HeldOut(f.name, tuple(s)) for f, s in both), unread, warnings)
+    return fit, held, tuple(HeldOut(f.name, tuple(s)) for f, s in both), unread, warnings
 
 
 _F = TypeVar("_F", bound=AnyFlight)
@@ -477,8 +461,11 @@ def _with_balance(found: Explanation, naming: Naming, wind: Wind | None) -> Expl
     balance = balance_of(trim, normal, naming.settings.sure)
     if all(n.partition(".")[0] in WIND for n in others):
         balance = replace(balance, hanging=hanging_of(naming, balance.best(LOAD)))
-    named = effect_of_balance(balance, found.vehicle, trim)
-    return replace(found, balance=balance, stochastic=() if named is None else (named,))
+    if (named := balance.named) is None:
+        return replace(found, balance=balance)
+    change = {n: (named.values[n], sd) for n, sd in named.deviations.items()}
+    effect = changed_by(named.cause, change, named.probability, found.vehicle, trim.channels)
+    return replace(found, balance=balance, stochastic=(effect,))
 
 
 def _with_equations(found: Explanation, seed: int) -> Explanation:

@@ -67,9 +67,8 @@ class LikelihoodSettings(Group):
     """Length of the time blocks that are left out of a fit and drawn in the bootstrap, s. Physics:
     six times as long as noise of the slowest channels lasts (two periods of POSE_BAND_HZ, 6 Hz)."""
     huber: float = 4.0
-    """Standard deviations beyond which an innovation weighs less: a bump, a lost packet. Physics:
-    normal innovations at 50 Hz pass it once in five minutes; the weight is that of Huber, Ann.
-    Math. Stat. 35 (1964)."""
+    """Standard deviations beyond which an innovation weighs less: Huber, Ann. Math. Stat. 35, 1964.
+    Physics: normal innovations at 50 Hz pass it once in five minutes."""
     roughness: Share = 1e-3
     """Share of the unexplained power that is added as white noise, as no model is exact. Made
     up."""
@@ -173,12 +172,10 @@ class StuckSettings(Group):
     """Least constant span of a reading, s: shorter ones are lost packets. Sensitivity: 5 cases."""
     longer: float = 10.0
     """Least ratio of the span to the longest one elsewhere, and to that of the other axes then.
-    Physics: by chance lengths fall exponentially, the longest of n is about ln n, and ten times
-    that comes once in n^9."""
+    Physics: the longest of n by chance is about ln n, and ten times that comes once in n^9."""
     moving_bits: float = 3.0
-    """Least standard deviation of another axis meanwhile, in last bits. Physics: a reading with
-    normal steps of 3 bits repeats itself by chance once in 7.5 samples, ten times running less than
-    once in 10^8."""
+    """Least standard deviation of another axis meanwhile, in last bits. Physics: with normal steps
+    of 3 bits ten repeats in a row come by chance less than once in 10^8."""
     smooth: float = 0.1
     """Ratio of second to first differences below which a signal is free of noise and may come to
     rest. Sensitivity: 1 case."""
@@ -336,9 +333,8 @@ class UnnamedSettings(Group):
     Sensitivity: 1 case."""
     covers: Share = 0.4
     """Share of the gain of equations that an effect reaches, from which on it is an imperfect law
-    of the right cause: equations are more pliable. Chosen on: large hidden effects, where with 0.7
-    a gust and an induced inflow, which covers 0.45, got equations
-    (docs/results/hidden_effects.md)."""
+    of the right cause: equations are more pliable. Chosen on: large hidden effects
+    (docs/results/hidden_effects.md); with 0.7 a gust and an induced inflow got equations."""
 
 
 # -- gap of held-out flights ---------------------------------------------------------------
@@ -359,8 +355,7 @@ class HoldoutSettings(Group):
     long as noise of the slowest channels lasts."""
     fewest_blocks: int = 5
     """Least number of blocks for an interval of the shrink. Paper: Efron & Tibshirani, An
-    Introduction to the Bootstrap (1993), sec. 6: 5 blocks have 126 different resamples, 4 have 35,
-    too few for the 2.5 % that an end of the interval cuts off."""
+    Introduction to the Bootstrap (1993), sec. 6: 5 blocks have 126 resamples, 4 only 35."""
 
 
 # -- all settings --------------------------------------------------------------------------

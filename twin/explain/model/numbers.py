@@ -101,12 +101,6 @@ class Number(ShortRepr):
         low, high = self.about.bounds
         return (high - low) / STEPS
 
-    @property
-    def sd(self) -> float:
-        """Standard deviation of the prior: a quarter of its range."""
-        low, high = self.about.bounds
-        return (high - low) / 4
-
 
 def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
     """All numbers of some effects, shape parameters last."""
