@@ -96,12 +96,8 @@ def _of_rotors(flight: FlightModel) -> dict[str, Quantity]:
         reached = np.polynomial.polynomial.polyval(grid, rotors.speed_rad_s)
         command = u[:, drives].T / max(float(grid[int(np.argmin(np.abs(reached - level)))]), 1e-3)
     place = rotors.position_m / vehicle.arm_m
-    found = {}
-    for stem, values, degree in (
-        ("thrust", thrust.sum(axis=0), 2),
-        ("command", command.mean(0), 1),
-    ):
-        found[stem] = Quantity(PLAIN, values, degree)
+    found = {"thrust": Quantity(PLAIN, thrust.sum(axis=0))}
+    found["command"] = Quantity(PLAIN, command.mean(0), degree=1)
     for side, sign in (("front", place[:, 0]), ("right", place[:, 1]), ("spin", rotors.direction)):
         share = sign / max(float(np.abs(sign).sum()), 1e-9)
         found[f"thrust_{side}"] = Quantity(PLAIN, rotors.count * share @ thrust)

@@ -126,16 +126,8 @@ def _of_channel(
         inside = [y[(ty >= t[first]) & (ty <= t[last])] for ty, y in neighbours]
         if not any(_goes_on(y, bit, steps[k], settings) for y in inside):
             continue
-        found.append(
-            Stuck(
-                flight.name,
-                channel,
-                float(t[first]),
-                float(t[last]),
-                float(x[first]),
-                last == len(x) - 1,
-            )
-        )
+        span, to_the_end = (float(t[first]), float(t[last])), last == len(x) - 1
+        found.append(Stuck(flight.name, channel, *span, float(x[first]), to_the_end))
     return found
 
 
@@ -268,9 +260,8 @@ def slow_parts(
             continue
         rows = [np.searchsorted(c.t_s, t) for c in acc]
         residual = np.stack([c.residual[k] for c, k in zip(acc, rows, strict=True)], axis=-1)
-        slopes = np.stack(
-            [c.slopes[k] for c, k in zip(acc, rows, strict=True)], axis=1
-        )  # (n, 3, k)
+        own = [c.slopes[k] for c, k in zip(acc, rows, strict=True)]
+        slopes = np.stack(own, axis=1)  # (n, 3, k)
         at = np.rint((t - aligned.inputs.t_s[0]) * GRID_HZ).astype(np.intp)
         curves = _curves(aligned, at, spin, force)  # (n, c)
         still = np.delete(slopes, list(winds), axis=2)  # a constant wind in body axes
@@ -314,22 +305,9 @@ def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Ar
     thrust = force[at][:, 2:]
     load = spin[at] ** 2
     height = np.exp(aligned.states[at][:, [column["pos_z"]]])
-    return np.concatenate(
-        [
-            body,
-            np.abs(body),
-            size * body,
-            size**2 * body,
-            thrust * body,
-            load,
-            w,
-            np.abs(w),
-            body * np.roll(w, 1, axis=1),
-            body * np.roll(w, 2, axis=1),
-            height,
-        ],
-        axis=1,
-    )
+    drags = body, np.abs(body), size * body, size**2 * body, thrust * body
+    turns = w, np.abs(w), body * np.roll(w, 1, axis=1), body * np.roll(w, 2, axis=1)
+    return np.concatenate([*drags, load, *turns, height], axis=1)
 
 
 def left_over(
@@ -442,11 +420,9 @@ def _gust_numbers(
     drag = np.concatenate([p.drag for p in pieces])
     least = SMALLEST_DRAG_1_S
     known = drag.shape[2] == 3 and float(np.sqrt(np.mean(drag[:, 0] ** 2))) > least
-    per_speed = (
-        np.sqrt(np.mean(np.sum(drag**2, axis=2), axis=0))
-        if known
-        else np.full(3, own.typical_drag_1_s)
-    )
+    per_speed = np.full(3, own.typical_drag_1_s)
+    if known:
+        per_speed = np.sqrt(np.mean(np.sum(drag**2, axis=2), axis=0))
     lag = round(LAG_S * SLOW_HZ)
     same = sum(float(np.mean(e[lag:, :2] * e[:-lag, :2])) for e in left) / len(left)
     time_s, seen = _time_constant(same / max(float(np.mean(power[:2])), 1e-300), own.band_hz)
