@@ -29,7 +29,7 @@ from twin.component import (
     check_starts,
 )
 from twin.errors import FmuError
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 
 from .kernels import draws, first_state, kernel_source, kernels
 from .names import check_identifier, check_name, check_text, check_variable, rate_unit
@@ -262,7 +262,7 @@ Constant = int | tuple[int, ...] | tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Submodel:
+class Submodel(ShortRepr):
     """One model inside an FMU, a C source file of its own.
 
     Attributes:
@@ -305,15 +305,13 @@ class Submodel:
     held: frozenset[str] = frozenset()
     exchange: Exchange | None = None
 
-    __repr__ = short_repr
-
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Parameters, inputs, outputs or local variables of the part."""
         return tuple(v for v in self.variables if v.causality == causality)
 
 
 @dataclass(frozen=True, slots=True)
-class FmuModel:
+class FmuModel(ShortRepr):
     """Content of an FMU, independent of the FMI version.
 
     Names of variables are unique over all parts.
@@ -334,8 +332,6 @@ class FmuModel:
     order: tuple[int, ...] = (0,)
     step_s: float | None = None
     arrays: bool = False
-
-    __repr__ = short_repr
 
     @property
     def entries(self) -> tuple[Entry, ...]:

@@ -34,7 +34,7 @@ from twin.logs import Flight
 from twin.logs.columns import motor_number
 from twin.logs.samples import stretches_where
 from twin.logs.stored import opened
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.channels import OF_IMU, OF_POSE, pose_signals, rows_along_pose
 from twin.residuals.measured import Signal
@@ -61,7 +61,7 @@ PUT = ("pos", "vel")
 
 
 @dataclass(frozen=True, slots=True)
-class ResidualFlight:
+class ResidualFlight(ShortRepr):
     """Residuals of one flight on a uniform grid.
 
     Attributes:
@@ -95,8 +95,6 @@ class ResidualFlight:
     notes: tuple[str, ...] = ()
     log_sha256: str = ""
     alone: BoolArray | None = None
-
-    __repr__ = short_repr
 
     @property
     def alone_rows(self) -> BoolArray:
@@ -200,7 +198,7 @@ def residuals_of(
 
 
 @dataclass(frozen=True, slots=True)
-class Pass:
+class Pass(ShortRepr):
     """One pass of a twin along a flight, at every grid point.
 
     Attributes:
@@ -215,8 +213,6 @@ class Pass:
     flown: BoolArray
     counts: BoolArray
     alone: BoolArray
-
-    __repr__ = short_repr
 
 
 def residuals_in_use(

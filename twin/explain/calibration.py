@@ -12,7 +12,7 @@ from ..effects import EFFECTS, prior_of
 from ..effects.parameters import RARE
 from ..errors import LogError
 from ..logs import Flight
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Calibration, Vehicle
 from .balance import trim_of
 from .estimates import UNDETERMINED
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
+class Calibrated(ShortRepr):
     """Result of a calibration.
 
     Attributes:
@@ -62,8 +62,6 @@ class Calibrated:
     problem: Problem
     state: State
     shares: Mapping[str, tuple[float, str]]
-
-    __repr__ = short_repr
 
 
 def calibrate(

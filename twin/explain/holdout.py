@@ -19,7 +19,7 @@ from ..effects import EFFECTS
 from ..logs import Flight
 from ..logs.columns import ACC_NED, POS, QUAT, VEL
 from ..physics.sensors.table import SENSORS
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..residuals.channels import GRID_HZ, Array, ChannelData
 from ..residuals.gap import spectrum
 from ..vehicle import Vehicle
@@ -116,7 +116,7 @@ class ChannelGap:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(ShortRepr):
     """Comparison of held-out flights before and after.
 
     Attributes:
@@ -135,8 +135,6 @@ class Comparison:
     after: Flights
     on_its_day: Flights
     best: Flights
-
-    __repr__ = short_repr
 
     @property
     def floors(self) -> dict[str, float]:
@@ -430,7 +428,7 @@ def _goes_with(known: Mapping[str, Array], residual: Array) -> tuple[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Attribution:
+class Attribution(ShortRepr):
     """Where one of the added effects acts.
 
     Attributes:
@@ -444,8 +442,6 @@ class Attribution:
     channels: tuple[str, ...]
     phases: tuple[str, ...]
     without: Sequence[Sequence[ChannelData]]
-
-    __repr__ = short_repr
 
 
 def attribute_effect(

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ..component import Component, ComponentBuilder
 from ..errors import ModelError
 from ..frames import AXES, to_body
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ _BANDS = (len(OUTPUTS), len(NOISE_HZ))  # shape of the noise
 
 
 @dataclass(frozen=True, slots=True)
-class ForceLaw:
+class ForceLaw(ShortRepr):
     """Numbers of a law.
 
     Attributes:
@@ -101,8 +101,6 @@ class ForceLaw:
     units: Array
     noise: Array = field(default_factory=lambda: np.zeros(_BANDS))
     module: ca.Function | None = None
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Raise ModelError where shapes or numbers are invalid."""

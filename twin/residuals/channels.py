@@ -32,7 +32,7 @@ from ..logs import AnyFlight
 from ..logs.samples import stretches_where
 from ..physics.sensors.imu import imu
 from ..physics.sensors.table import BODY, SENSORS, Sensor
-from ..representation import short_repr
+from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .aligned import AlignedFlight
 from .gap import Channel
@@ -56,7 +56,7 @@ SHORTEST_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelData:
+class ChannelData(ShortRepr):
     """One channel of one flight.
 
     Attributes:
@@ -77,11 +77,9 @@ class ChannelData:
     slopes: Array
     piece: NDArray[np.intp]
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(ShortRepr):
     """Readings of one sensor on the grid of a flight, filtered and decimated.
 
     Attributes:
@@ -103,8 +101,6 @@ class Measured:
     values: Array
     t_s: Array
     piece: NDArray[np.intp]
-
-    __repr__ = short_repr
 
     def filtered(self, values: Array, filters_hz: Sequence[float]) -> Array:
         """Retained rows of values on the grid, low-passed piece by piece."""

@@ -27,7 +27,7 @@ from twin.logs import Flight
 from twin.physics.airframe import REPORTED
 from twin.physics.rotors import Drive
 from twin.physics.sensors.table import SENSORS
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.aligned import align_flight
 from twin.residuals.teacher_forced import GRID_S
 from twin.vehicle import Vehicle as TwinVehicle
@@ -260,7 +260,7 @@ def _before(k: NDArray[np.intp], y: Array, alone: BoolArray | None) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Corrections:
+class Corrections(ShortRepr):
     """Errors of one flight.
 
     Attributes:
@@ -273,8 +273,6 @@ class Corrections:
     flight: str
     rows: dict[tuple[str, str], Array]
     inside: Array
-
-    __repr__ = short_repr
 
     def beyond_offsets(self) -> "Corrections":
         """The same without the mean error of each sensor of `OF_THE_DAY`: where such an offset is

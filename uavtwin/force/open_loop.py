@@ -21,7 +21,7 @@ from learning.force.windows import EVERY_S, WARM_S, apart, clear, left_alone, tr
 from twin.errors import LogError
 from twin.frames import AXES, multiply
 from twin.logs import AnyFlight
-from twin.representation import short_repr
+from twin.representation import ShortRepr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.teacher_forced import GRID_S, RIGID, SPIN_RATE
@@ -43,7 +43,7 @@ QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("rat
 
 
 @dataclass(frozen=True, slots=True)
-class OpenLoop:
+class OpenLoop(ShortRepr):
     """Open-loop errors of an FMU on one flight.
 
     Attributes:
@@ -58,8 +58,6 @@ class OpenLoop:
     off: Array
     watched: Array
     begin: Array
-
-    __repr__ = short_repr
 
     @property
     def rms(self) -> Array:

@@ -26,7 +26,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import lsq_linear
 
-from ...representation import short_repr
+from ...representation import ShortRepr
 from .instruments import InstrumentNoise
 from .noise import BandNoise
 from .priors import Bounds, Priors
@@ -45,7 +45,7 @@ rounding error."""
 
 
 @dataclass(frozen=True, slots=True)
-class MapEstimate:
+class MapEstimate(ShortRepr):
     """MAP estimate of one candidate model at this linearisation point.
 
     Attributes:
@@ -62,8 +62,6 @@ class MapEstimate:
     x: Array
     free: NDArray[np.intp]
     curvature: "Factored"
-
-    __repr__ = short_repr
 
     @property
     def covariance(self) -> Array:
@@ -393,7 +391,7 @@ class _Squares:
 
 
 @dataclass(frozen=True, slots=True)
-class Factored:
+class Factored(ShortRepr):
     """Cholesky factor of a symmetric matrix whose rows and columns are scaled to a diagonal of one.
 
     Attributes:
@@ -403,8 +401,6 @@ class Factored:
 
     size: Array
     root: Array
-
-    __repr__ = short_repr
 
     @classmethod
     def of(cls, h: Array) -> "Factored":

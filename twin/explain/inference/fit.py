@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Equation, prior_of
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ...vehicle import Vehicle
 from ..model.model import Model
@@ -67,7 +67,7 @@ cannot be learned from few flights."""
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class State(ShortRepr):
     """MAP estimate of one candidate model.
 
     Attributes:
@@ -79,8 +79,6 @@ class State:
     effects: tuple[str, ...]
     best: MapEstimate
     spectrum: Spectrum
-
-    __repr__ = short_repr
 
     @property
     def evidence(self) -> float:
@@ -94,7 +92,7 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class Problem(ShortRepr):
     """Estimation problem: flights, priors and noise.
 
     Attributes:
@@ -112,8 +110,6 @@ class Problem:
     noise: InstrumentNoise
     rest: Spectrum
     kappas: tuple[float, ...] = (1.0,)
-
-    __repr__ = short_repr
 
     @classmethod
     def of(
@@ -487,7 +483,7 @@ beyond 2 in 43 of 100 files, beyond 3 in 3."""
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class Fit(ShortRepr):
     """Fitted candidate model, as reported.
 
     Attributes:
@@ -510,8 +506,6 @@ class Fit:
     days: tuple[Mapping[str, float], ...] = ()
     ridges: Mapping[str, float] = field(default_factory=dict)
     covered: Mapping[str, float] = field(default_factory=dict)
-
-    __repr__ = short_repr
 
     def on_its_days(self, model: Model) -> Model:
         """Predictions of the flights, each with its day-to-day deviations."""

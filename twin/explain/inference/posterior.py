@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Shift, prior_of
-from ...representation import short_repr
+from ...representation import ShortRepr
 from .evidence import LaplaceEvidence, MapEstimate
 from .fit import Problem, State
 from .priors import effect_of
@@ -28,15 +28,13 @@ day-to-day variation."""
 
 
 @dataclass(frozen=True, slots=True)
-class SearchResult:
+class SearchResult(ShortRepr):
     """Result of a search: the final state, the linearisation about it, and the log posterior of
     every candidate model that was fitted."""
 
     state: State
     laplace: LaplaceEvidence
     tried: Tried
-
-    __repr__ = short_repr
 
 
 def log_prior_of_days(kappa: float) -> float:
@@ -69,18 +67,16 @@ EXCHANGED = -0.3
 
 
 @dataclass(frozen=True, slots=True)
-class ScoredModel:
+class ScoredModel(ShortRepr):
     """A candidate model, with sorted effects, its posterior probability, and its numbers."""
 
     effects: Set
     probability: float
     best: MapEstimate
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class Posterior:
+class Posterior(ShortRepr):
     """Posterior over candidate models.
 
     Attributes:
@@ -94,8 +90,6 @@ class Posterior:
     sets: tuple[ScoredModel, ...]
     inclusion: Mapping[str, float]
     without: Mapping[str, float]
-
-    __repr__ = short_repr
 
     def exchangeable(self, effect: str) -> tuple[str, ...]:
         """Effects that are alternatives to this one."""

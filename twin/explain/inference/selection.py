@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS, FAMILIES, Family
 from ...logs import Flight
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...vehicle import Vehicle
 from ..model.model import Model, candidates, model_of
 from ..model.numbers import Number, Payloads
@@ -80,7 +80,7 @@ class Total:
 
 
 @dataclass(frozen=True)
-class Naming:
+class Naming(ShortRepr):
     """Result of the selection of effects.
 
     Attributes:
@@ -129,8 +129,6 @@ class Naming:
     settings: SelectionSettings = DEFAULT.inference.selection
     further: int = 0
     unexplained: tuple[str, ...] = ()
-
-    __repr__ = short_repr
 
     @property
     def best(self) -> Fit:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...residuals.channels import CHANNEL_HZ, Array, ChannelData
 
 Flights = Sequence[Sequence[ChannelData]]
@@ -30,7 +30,7 @@ FORCE_CHANNELS = ("acc_", "gyro_rate_", "motion_acc_", "motion_rate_")
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class Rows(ShortRepr):
     """One channel of one flight after the transform.
 
     Attributes:
@@ -46,11 +46,9 @@ class Rows:
     active: NDArray[np.intp]
     slopes: Array
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class Spectrum:
+class Spectrum(ShortRepr):
     """All channels of all flights, linearised at some values of the numbers.
 
     Attributes:
@@ -66,8 +64,6 @@ class Spectrum:
     theta: Array
     days: Array
     day_columns: NDArray[np.intp]
-
-    __repr__ = short_repr
 
     @classmethod
     def of(

@@ -26,7 +26,7 @@ from ...errors import LogError
 from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...physics.airframe import airframe
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...residuals.aligned import AlignedFlight, align_flight
 from ...residuals.channels import (
     GRID_HZ,
@@ -424,7 +424,7 @@ def _bend(values: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class Model(ShortRepr):
     """Predictions of all flights of one vehicle.
 
     Attributes:
@@ -444,8 +444,6 @@ class Model:
     flights: tuple[FlightModel, ...]
     unobservable: tuple[str, ...] = ()
     days: tuple[Mapping[str, float], ...] = ()
-
-    __repr__ = short_repr
 
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None
