@@ -288,11 +288,11 @@ class Problem(ShortRepr):
         on = tuple(sorted(effects))
         columns = self.moving(on)
         x = self._begun(on, columns, start)
-        spectrum, fresh = self._begin(spectrum, x, columns)
+        spectrum, own = self._begin(spectrum, x, columns)
         laplace = self.laplace(spectrum)
         now = laplace.at(on, kappa)
         shaped = bool(np.any(self.priors.shape[columns]))
-        reach = self._reach()
+        fresh, reach = own, self._reach()
         for n in range(ROUNDS):
             first = shaped and n == 0  # a shape has no slope while its size is 0
             wanted = laplace.best(on, kappa, reach).x
@@ -325,11 +325,12 @@ class Problem(ShortRepr):
             gain = better[3] - now
             reach = reach * (FARTHER if step == 1 and bent < STRAIGHT else step)
             x, spectrum, laplace, now = better
-            if gain < SETTLED and fresh and not first:
+            fresh = False
+            again = first or (n == 0 and not own)
+            if gain < SETTLED and not again:
                 break
-            fresh = gain < SETTLED or first or (bent > STRAIGHT and gain > LONG)
-            if fresh:
-                spectrum = self._renewed(spectrum, x, columns)
+            if (bent > STRAIGHT and gain > LONG) or again:
+                spectrum, fresh = self._renewed(spectrum, x, columns), True
                 laplace = self.laplace(spectrum)
         return State(on, laplace.at_linearisation(on, kappa), spectrum)
 

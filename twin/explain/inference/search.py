@@ -67,7 +67,7 @@ class SearchPoint:
         begun: Candidate models fitted from their prior means.
         again: Candidate models fitted twice.
         short: Shortfall of exchanges against their predicted gains, nats.
-        sought: Candidate models near which hidden effects were sought.
+        sought: Candidate models near which hidden effects were sought, and delays that were.
         moves: Number of accepted moves.
         ended: Whether no other candidate model is better.
     """
@@ -152,7 +152,8 @@ def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: boo
     if better is not None or not last:
         return better
     return (
-        _verified(problem, laplace, state, {}, _late(problem, laplace, state))
+        _verified(problem, laplace, state, {}, _unsettled(laplace, state))
+        or _verified(problem, laplace, state, {}, _late(problem, laplace, state, at.sought))
         or _uncovered(problem, laplace, state, at.sought)
         or _verified(problem, laplace, state, tried, _weak(laplace, state))
         or _verified(problem, laplace, state, tried, _alone(state))
@@ -288,13 +289,24 @@ def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Tr
     return sets
 
 
-def _late(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
-    """The model with each absent delay or lag, from its prior mean: beyond a quarter of a period of
-    the motion, no slope at zero delay leads there."""
+def _unsettled(laplace: LaplaceEvidence, state: State) -> list[Trial]:
+    """The same model, where slopes at its numbers promise more: its fit ended along slopes of an
+    earlier point."""
+    promised = laplace.best(state.effects, state.kappa).evidence - state.evidence
+    return [(state.effects, None)] if promised > MIN_GAIN else []
+
+
+def _late(
+    problem: Problem, laplace: LaplaceEvidence, state: State, sought: set[tuple[str, ...]]
+) -> list[Trial]:
+    """The model with each absent delay or lag, from its prior mean, once: beyond a quarter of a
+    period of the motion, no slope at zero delay leads there."""
     odds, x = problem.priors.odds, state.best.x
-    absent = (c for c in problem.priors.causes if is_time(c) and c not in state.effects)
-    late = [c for c in absent if odds[c] > LAST and not laplace.silent(c)]
-    return [(tuple(sorted((*state.effects, c))), _with_expected(problem, x, c)) for c in late]
+    absent = [c for c in problem.priors.causes if is_time(c) and (c,) not in sought]
+    late = [c for c in absent if c not in state.effects and odds[c] > LAST]
+    sought |= {(c,) for c in late}
+    sets = [(tuple(sorted((*state.effects, c))), c) for c in late if not laplace.silent(c)]
+    return [(on, _with_expected(problem, x, c)) for on, c in sets]
 
 
 def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:
