@@ -56,6 +56,7 @@ SHORTEST_SPAN = 2
 """Least number of samples of a span."""
 RESTARTED = ("gyro", "pos", "vel")
 """Groups that are read after a restart; the others are read at the measured state."""
+_ENDS = {g: [READ.index(c) for c in CHANNELS[GROUPS[g]]] for g in RESTARTED}  # in `READ`
 PUT = ("pos", "vel")
 """Groups that a twin that follows the flight is set to."""
 
@@ -141,9 +142,9 @@ def residual_flight(
     missing = []
     for group, columns in GROUPS.items():
         if ends is not None and group in RESTARTED:
-            near = ends[:, :, _columns_of_ends(group)]
+            near = ends[:, :, _ENDS[group]]
         else:
-            near = _tails(at_state[group], grid, every)
+            near = at_state[group][np.maximum(grid[:, None] + np.arange(-every, 1), 0)]
         near[~valid] = np.nan
         virtual[:, columns] = near[:, -1]
         if not flight.has(*CHANNELS[columns]):
@@ -316,15 +317,10 @@ def _steps(rate_hz: float, restart_s: float) -> tuple[int, int]:
     return every, steps
 
 
-def _restartable(aligned: AlignedFlight) -> bool:
-    motion = aligned.motion
-    return not (motion.attitude is None or motion.velocity is None or motion.rates is None)
-
-
 def _whole(aligned: AlignedFlight, grid: IntArray, steps: int) -> BoolArray:
     """Instants in the air at which the state is known, and since the restart where there is one."""
     known = aligned.airborne & np.all(np.isfinite(aligned.states), axis=1)
-    if not _restartable(aligned):
+    if not aligned.motion.restarts:
         return np.asarray(known[grid], dtype=np.bool_)
     unknown_before = np.concatenate([[0], np.cumsum(~known)])
     begin = np.maximum(grid - steps, 0)
@@ -343,16 +339,11 @@ def _restarts(
 ) -> Array:
     """States `READ` over the last interval of every window, shape (n, every + 1, 13)."""
     ends = np.full((len(grid), every + 1, len(READ)), np.nan)
-    if _restartable(aligned) and valid.any():
+    if aligned.motion.restarts and valid.any():
         ends[valid] = window_ends(aligned, grid[valid] - steps, steps, every, progress)
     if aligned.motion.position is None:
-        ends[:, :, _columns_of_ends("pos")] = np.nan
+        ends[:, :, _ENDS["pos"]] = np.nan
     return ends
-
-
-def _columns_of_ends(group: str) -> slice:
-    first = READ.index(CHANNELS[GROUPS[group]][0])
-    return slice(first, first + 3)
 
 
 def _at_measured_state(
@@ -377,11 +368,6 @@ def _at_measured_state(
             columns = [sensor.output_names.index(n) for n in kind.columns]
             found[kind.signal] = sensor_readings(sensor, rows)[:, columns]
     return found
-
-
-def _tails(values: Array, grid: IntArray, every: int) -> Array:
-    """Points of the interval that ends at each instant, including its start."""
-    return np.asarray(values[np.maximum(grid[:, None] + np.arange(-every, 1), 0)])
 
 
 def _against(samples: Signal, near: Array, t_s: Array, every: int) -> tuple[IntArray, Array]:

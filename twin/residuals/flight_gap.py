@@ -388,7 +388,7 @@ def _short_horizon(
     airborne = alignment.airborne(noted())
     notes = alignment.left_out(airborne)
     motion = alignment.motion
-    if motion.attitude is None or motion.velocity is None or motion.rates is None:
+    if not motion.restarts:
         return [], [
             *notes,
             "no short-horizon residuals: they need attitude, velocity and body rates",

@@ -205,6 +205,12 @@ class MeasuredMotion(ShortRepr):
     rates_measured: bool
     notes: tuple[str, ...]
 
+    @property
+    def restarts(self) -> bool:
+        """Whether a twin can be set to the measured state: attitude, velocity and rates are
+        there."""
+        return not (self.attitude is None or self.velocity is None or self.rates is None)
+
 
 def measured_motion(flight: AnyFlight, doubts: bool = True) -> MeasuredMotion:
     """Motion signals of a flight.

@@ -146,7 +146,7 @@ class StreamResiduals:
     def _short_horizon(self) -> tuple[Channel, ...]:
         """Channels at the ends of the windows that are complete now."""
         motion = self.stream.motion
-        if motion.attitude is None or motion.velocity is None or motion.rates is None:
+        if not motion.restarts:
             return ()
         fine = self._fine
         rows = fine.rows
