@@ -117,5 +117,5 @@ def test_network_and_losses_are_on_the_device_that_they_are_moved_to(preset: Pre
     out, state = network(*seen, some(2, network.state_size))
     codebooks = [n.quantiser for n in network.networks if isinstance(n, ClusterNetwork)]
     found = losses(out, some(2, 9, 15), some(2, 9, 15), CLUSTERS, codebooks, preset)
-    torch.autograd.backward(list(found.values()))
+    torch.autograd.backward(torch.stack(list(found.values())).sum())
     assert {part.device.type for part in (*found.values(), state)} == {"meta"}
