@@ -299,13 +299,8 @@ class Balance(ShortRepr):
 
     @property
     def nothing(self) -> float:
-        """Probability that nothing has changed."""
+        """Probability that nothing has changed; from `sure` on it is the result."""
         return self.probability_of(NOTHING)
-
-    @property
-    def quiet(self) -> bool:
-        """Whether the result is that nothing has changed."""
-        return self.nothing >= self.sure
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,8 @@
 
 Each of the two explanations in turn is assumed true. The twin with its effects flies every
 manoeuvre in closed loop; the other explanation, with its numbers free within their posterior,
-predicts the same readings. The difference of the predictions, in the whitened metric of the search,
-is the expected log likelihood ratio; noise has no influence on it, so none is drawn. Both
-predictions are those of `FlightModel`, so discretisation errors cancel.
+predicts the same readings. The difference of the predictions, both by `FlightModel` and without
+noise, in the whitened metric of the search, is the expected log likelihood ratio.
 
 Source: discrimination between rival models, Hunter & Reiner, Technometrics 7 (1965); Atkinson &
 Fedorov, Biometrika 62 (1975).

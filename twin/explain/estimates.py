@@ -186,11 +186,8 @@ def channels_and_phases(found: Explanation, effect: str) -> tuple[tuple[str, ...
 
 
 def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
-    """Alternatives to an effect, the most probable first, and their differences in log posterior.
-
-    Among practically impossible ones, no effect at all comes last.
-
-    A zero-mean effect has one alternative, `nothing`, and only its probability is known.
+    """Alternatives to an effect, the most probable first, and their differences in log posterior; a
+    zero-mean effect has one alternative, `nothing`, of which only the probability is known.
 
     `behind`: difference in log posterior between the best model with the effect and the best one
     with the alternative in its place, together with the effects `with`.

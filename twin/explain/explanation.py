@@ -418,7 +418,7 @@ def _verdict(
         return "named"
     if balance is None or verdict == "named":
         return verdict
-    if verdict == "nothing" and not balance.quiet:
+    if verdict == "nothing" and balance.nothing < balance.sure:
         return "cannot_tell"
     return "cannot_tell" if balance.one_of else verdict
 

@@ -22,10 +22,7 @@ from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from .model.factors import FORCE, TORQUE
 from .model.model import channel_names
-from .model.numbers import (
-    Payloads,
-    carrying,
-)
+from .model.numbers import Payloads, carrying
 from .settings import DEFAULT, UsableSettings
 
 READ = "{}: {:.0f} to {:.0f} s of {:.0f} s are read, where it moves most; cut the log for others"
@@ -116,9 +113,7 @@ def with_readings(
     All flights of a search are compared in the channels that all have: a flight without force or
     torque would remove it in all.
     """
-    retained: list[Flight] = []
-    reasons: list[str] = []
-    named: list[tuple[Flight, list[str]]] = []
+    retained, reasons, named = list[Flight](), list[str](), list[tuple[Flight, list[str]]]()
     for flight in flights:
         try:
             named.append((flight, channel_names(flight, flown(flight, vehicle, payloads))))

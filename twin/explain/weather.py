@@ -1,12 +1,11 @@
 """Wind of a flight: whether it is stronger than on the days of the calibration, and its effect,
 with that of a slung load, on the balance of forces and moments.
 
-Wind differs between days, so a search attributes most of it to day-to-day variation: a change is
-therefore decided by the total wind, whatever it is attributed to.
+A search attributes most of a wind to day-to-day variation: a change is decided by the total wind.
 
 The search estimates wind and slung load from readings that the balance does not use. The balance is
-then evaluated in that wind and with that load, with less confidence: neither is known exactly, and
-a calibration in calm air does not give the response of the aircraft to wind:
+then evaluated in that wind and with that load, which are not known exactly, nor is the response of
+the aircraft to wind:
 
     W = S_b P S_b' + (S_a - S_a0) Q (S_a - S_a0)'
 

@@ -44,7 +44,6 @@ LOCAL = {
         "model.model.AGE_STEP_S",
         "model.model.BEND_S",
         "model.model.SMALL",
-        "model.model.TIME_STEP_S",
         "model.numbers.STEPS",
         "model.factors.AGE_S",
         "inference.instruments.BLOCK",

@@ -1,8 +1,7 @@
 """Sparse regression of one channel on products of physical quantities of a flight.
 
-*Quantities* of a flight on its grid, with units. None is derived from the reading to be explained:
-motion is from the pose, rotation from the gyroscope, rotor load from the rotor equations. The
-accelerometer is not used.
+*Quantities* of a flight on its grid, with units: motion from the pose, rotation from the gyroscope,
+rotor load from the rotor equations; none from the accelerometer.
 
 *Terms*: products of quantities, and the units of their coefficients.
 
@@ -245,7 +244,7 @@ def sparse(
     settings: UnnamedSettings = DEFAULT.unnamed,
 ) -> Sparse | None:
     """The best equation of up to `most_terms` terms; None where none gains anything."""
-    whole, most = _whole(blocks), settings.most_terms
+    whole, most = _sum([*blocks.values()]), settings.most_terms
     size = _size(whole)
     parts = [
         _sum([b for k, b in blocks.items() if folds[k] == f], len(size))
@@ -277,7 +276,7 @@ def sparse(
 
 def longest(blocks: Mapping[Key, Block], settings: UnnamedSettings = DEFAULT.unnamed) -> Array:
     """Coefficients of the equation with `most_terms` terms, fitted to all data, shape (p,)."""
-    whole, most = _whole(blocks), settings.most_terms
+    whole, most = _sum([*blocks.values()]), settings.most_terms
     return _path(whole, _size(whole), most)[most]
 
 
@@ -286,14 +285,9 @@ def _size(block: Block) -> Array:
     return np.sqrt(np.maximum(np.diag(block.gram), 1e-300))
 
 
-def _whole(blocks: Mapping[Key, Block]) -> Block:
-    """Sums over all time blocks."""
-    every = list(blocks.values())
-    return _sum(every, len(every[0].pull))
-
-
-def _sum(blocks: Sequence[Block], p: int) -> Block:
-    """Sums over some blocks of `p` columns."""
+def _sum(blocks: Sequence[Block], p: int | None = None) -> Block:
+    """Sums over some blocks, of `p` columns where there may be none."""
+    p = len(blocks[0].pull) if p is None else p
     return sum(blocks, Block(np.zeros((p, p)), np.zeros(p), 0.0))
 
 

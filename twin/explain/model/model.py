@@ -60,9 +60,7 @@ from .numbers import (
 from .prediction import Batch, Physics, Trajectory, remembered
 
 AGE_STEP_S = 0.002
-"""Step of numerical differentiation by a pose age or a heading, s or rad."""
-TIME_STEP_S = 0.002
-"""Step of numerical differentiation by a lag, s."""
+"""Step of numerical differentiation by an age, a lag or a heading, s or rad."""
 SMALL = 0.01
 """Step of a numerical derivative over the step of the number."""
 SLOPES_AT_ONCE = 8
@@ -294,7 +292,7 @@ class FlightModel:
             return n.step * SMALL
         as_it_is = {**change, n.full: n.now}
         if i in self._physics.of_sensor or self._trajectory.is_integrated(n.full, as_it_is):
-            return min(n.step, TIME_STEP_S) if n.about.unit == "s" else n.step
+            return min(n.step, AGE_STEP_S) if n.about.unit == "s" else n.step
         return None
 
     # -- answers that are no derivatives of equations ----------------------------------------

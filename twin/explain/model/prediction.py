@@ -151,8 +151,7 @@ class EffectStates:
 class Batch:
     """Vectorised function of measured rows and of numbers, with its derivatives by the numbers.
 
-    Most numbers are at their neutral value, mostly 0 or 1: inserting these as constants removes two
-    thirds of the instructions.
+    Numbers at their neutral value are inserted as constants: two thirds of the instructions vanish.
     """
 
     def __init__(
@@ -299,8 +298,8 @@ class Physics:
         angular acceleration, numbers) -> acc_x..z, rate of gyro_x..z`. None where effects have
         states in the IMU.
 
-        Away from the centre of mass an accelerometer measures angular acceleration: with a
-        predicted one, closed-loop correlation would bias the inertia, whatever the instruments.
+        Away from the centre of mass an accelerometer measures angular acceleration: a predicted
+        one would bias the inertia in closed loop.
         """
         return None if self._states.index else Batch(*self._as_measured, self._numbers)
 

@@ -71,18 +71,11 @@ def find_vibration(
     tracks = [(f, True) for f in rel.tolist()]
     top = max(s.rate_hz for s in sensors) / 2
     tracks += [(f, False) for f in np.arange(own.from_hz, 0.97 * top, 1.0).tolist()]
-    best: tuple[float, float, bool, _Shaken] | None = None
-    for sensor in sensors:
-        scores = np.array([_score(sensor, f, moves, own.overlap) for f, moves in tracks])
-        if not np.isfinite(scores).any():
-            continue
-        k = int(np.nanargmax(scores))
-        if best is None or scores[k] > best[0]:
-            best = (float(scores[k]), *tracks[k], sensor)
-    if best is None:
+    scores = np.array([[_score(s, f, moves, own.overlap) for f, moves in tracks] for s in sensors])
+    if not np.isfinite(scores).any():
         return None
-    z, frequency, moves, sensor = best
-    prior = prior_log_odds(settings)
+    frequency, moves = tracks[int(np.nanargmax(scores)) % len(tracks)]
+    z, prior = float(np.nanmax(scores)), prior_log_odds(settings)
     log_odds = 0.5 * z * z - np.log(len(tracks)) + prior if z > 0 else prior
     if log_odds <= 0:
         return None

@@ -11,9 +11,6 @@ Noise changes the last bit of a reading at nearly every sample. A reading that r
 long time is stuck, unless nothing moves, the sensor is slower than the table, its resolution is
 coarse, or the column was never measured: these also appear in the other axes of the sensor, or in
 the reading at other times.
-
-Gusts are sought in the low-frequency part of the accelerometer residuals, after a regression on a
-smooth function of the measured motion.
 """
 
 from collections.abc import Mapping, Sequence
