@@ -48,10 +48,8 @@ def held_out_spans(flight: Flight, settings: HoldoutSettings = DEFAULT.holdout) 
 
 
 def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:
-    """The flight without the sensor readings inside some time spans, or outside all of them.
-
-    Where it lacks an IMU sensor that its pose replaces, the pose is hidden too.
-    """
+    """The flight without the sensor readings inside some time spans, or outside all of them; where
+    it lacks an IMU sensor that its pose replaces, without the pose too."""
     time = flight.table["time"].to_numpy(dtype=np.float64)
     within = np.zeros(len(time), dtype=np.bool_)
     for start, end in spans:

@@ -108,11 +108,8 @@ def usable_part(
 def with_readings(
     flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None = None
 ) -> tuple[list[Flight], list[str]]:
-    """Flights with channels to compare, and the reasons why the others have none.
-
-    All flights of a search are compared in the channels that all have: a flight without force or
-    torque would remove it in all.
-    """
+    """Flights with channels to compare, and the reasons why the others have none: a flight without
+    force or torque would remove it in all."""
     retained, reasons, named = list[Flight](), list[str](), list[tuple[Flight, list[str]]]()
     for flight in flights:
         try:

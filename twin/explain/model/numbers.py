@@ -245,10 +245,8 @@ def columns_of(numbers: Sequence[Number], effects: Iterable[str]) -> list[int]:
 
 
 def with_effects(vehicle: Vehicle, effects: Iterable[str], values: Mapping[str, float]) -> Vehicle:
-    """The vehicle with some effects enabled; `values` are "effect.number" -> value.
-
-    Effects of logs are omitted: they belong to a flight, not to the aircraft.
-    """
+    """The vehicle with some effects enabled, without those of logs; `values` are "effect.number" ->
+    value."""
     settings = {name: dict(numbers) for name, numbers in vehicle.effects.items()}
     for name in (e for e in effects if EFFECTS[e].of_vehicle):
         own = {n.name: n.now for n in numbers_of([EFFECTS[name]], vehicle)}

@@ -122,11 +122,8 @@ def _smooth(spin: Array, window_s: float) -> Array:
 
 
 def _logs(cells: Cells, rate_hz: float, settings: VibrationSettings) -> Array:
-    """Log level of each cell over the higher of its two neighbourhoods, shape as the power.
-
-    Both sides count: a steep slope of the spectrum is no line. Beyond zero and the Nyquist
-    frequency the spectrum is mirrored.
-    """
+    """Log level of each cell over the higher of its two neighbourhoods, shape as the power; beyond
+    zero and the Nyquist frequency the spectrum is mirrored."""
     f = cells.f_hz
     half = max(4, round(settings.neighbours * rate_hz / (f[1] - f[0])))
     mirrored = np.pad(cells.power, ((0, 0), (0, 0), (half, half)), mode="reflect")
