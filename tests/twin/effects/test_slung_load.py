@@ -210,7 +210,9 @@ def test_the_tension_is_that_of_the_aircraft_as_heavy_as_it_is() -> None:
     theta[names.index("mass_offset.mass_kg")] = 0.25
     states, inputs = model.aligned.states, model.aligned.inputs.u
     physics = model._physics
-    assert physics.felt(theta, states, inputs)[2] == pytest.approx(vehicle.mass_kg + 0.25, rel=1e-9)
+    assert physics.driving(theta, states, inputs)[2] == pytest.approx(
+        vehicle.mass_kg + 0.25, rel=1e-9
+    )
 
 
 @pytest.mark.slow

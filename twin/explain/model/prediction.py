@@ -269,21 +269,21 @@ class Physics:
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
         self._moved = [x, u], theta, ca.vertcat(*[outputs[n] for n in moved])
         per_newton = ca.jacobian(outputs[moved[0]], u[body.input_names.index("force_x")])
-        self._felt = rows, theta, ca.vertcat(readings[:3], self._moved[2][:3], per_newton)
+        self._driving_rows = rows, theta, ca.vertcat(readings[:3], self._moved[2][:3], per_newton)
 
     @cached_property
-    def _feeling(self) -> Batch:
-        return Batch(*self._felt, self._numbers)
+    def _driving(self) -> Batch:
+        return Batch(*self._driving_rows, self._numbers)
 
-    def is_felt(self, i: int) -> bool:
-        """Whether a force of `felt` depends on number `i`."""
-        return self._feeling.answers(i)
+    def drives_observer(self, i: int) -> bool:
+        """Whether a force of `driving` depends on number `i`."""
+        return self._driving.answers(i)
 
-    def felt(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array, float]:
+    def driving(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array, float]:
         """Accelerometer readings, and specific force at the centre of mass of the vehicle file,
         shape (n, 3) each; and the mass, kg."""
         along = self._along(theta, states, inputs)
-        values = self._feeling.value(theta, states, inputs, *along)
+        values = self._driving.value(theta, states, inputs, *along)
         return values[:, :3], values[:, 3:6], float(1 / np.nanmean(values[:, 6]))
 
     @cached_property
@@ -388,7 +388,7 @@ REMEMBERED, DRIVEN = 16, 3
 """Number of cached trajectories: of unmeasured states, by the numbers; and with delayed inputs."""
 
 
-class Felt(NamedTuple):
+class ObserverInput(NamedTuple):
     """Forces that drive an observer.
 
     Attributes:
@@ -430,7 +430,7 @@ class Trajectory:
         self._now = values_of(numbers, {})
         self._rotors: dict[tuple[str, ...], RotorStates] = {}
         self._splines: dict[tuple[str, ...], GridSpline] = {}
-        self._forces: dict[tuple[str, bytes], Felt] = {}
+        self._forces: dict[tuple[str, bytes], ObserverInput] = {}
         self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
         self._integrated: dict[Values, Array] = {}
         self._driven: dict[tuple[Values, Values], tuple[Array, Array]] = {}
@@ -483,7 +483,7 @@ class Trajectory:
         if self._numbers[i].effect in self._observers:
             return True
         there = {name.partition(".")[0] for name in change} & self._observers.keys()
-        return bool(there) and self._numbers[i].full in change and self._physics.is_felt(i)
+        return bool(there) and self._numbers[i].full in change and self._physics.drives_observer(i)
 
     def _reached(self, number: str) -> frozenset[int]:
         """Unmeasured states of the airframe that depend on a number."""
@@ -531,14 +531,14 @@ class Trajectory:
             states[:, hidden] = hidden_states(body, hidden, states, inputs)
         return states
 
-    def _felt(self, theta: Array, states: Array, inputs: Array) -> "Felt":
+    def _observer_input(self, theta: Array, states: Array, inputs: Array) -> "ObserverInput":
         """Forces that drive an observer.
 
         On the ground, or where it is unknown, the free force is that at rest; the excess is then
         zero.
         """
         aligned, vehicle = self.aligned, self._vehicle
-        reading, force, mass = self._physics.felt(theta, states, inputs)
+        reading, force, mass = self._physics.driving(theta, states, inputs)
         excess, lag = np.zeros_like(force), age_of(self._numbers, theta, (ACCELEROMETER,))
         if self._flight.has(*ACC):
             cutoff = vehicle.accel_cutoff_hz
@@ -551,7 +551,7 @@ class Trajectory:
         force_n, excess_n = (np.stack(to_ned(q, list(v.T)), axis=-1) for v in (force, excess))
         known = aligned.airborne & np.all(np.isfinite(force_n + reading), axis=1)
         there = known & np.all(np.isfinite(excess_n), axis=1)
-        return Felt(
+        return ObserverInput(
             np.where(known[:, None], force_n, [0.0, 0.0, -vehicle.gravity_m_s2]),
             np.where(there[:, None], excess_n, 0.0),
             lag,
@@ -582,14 +582,16 @@ class Trajectory:
             without[own] = self._now[own]
             without[sizes] = neutral
             at = effect, without.tobytes()
-            felt = remembered(self._forces, at, partial(self._felt, without, states, inputs))
+            given = remembered(
+                self._forces, at, partial(self._observer_input, without, states, inputs)
+            )
             numbers = {self._numbers[i].name: float(theta[i]) for i in own}
             course = remembered(
                 self._courses,
                 (*at, tuple(float(theta[i]) for i in own if i not in sizes)),
-                partial(observer.follow, *felt[:3], height, numbers, 1 / GRID_HZ, felt.vehicle),
+                partial(observer.follow, *given[:3], height, numbers, 1 / GRID_HZ, given.vehicle),
             )
-            states = observer.place(states, names, course, felt.free_n, numbers, felt.vehicle)
+            states = observer.place(states, names, course, given.free_n, numbers, given.vehicle)
         return states
 
     def _late_drive(
