@@ -9,6 +9,7 @@ Clocks that are apart explain every delay of the aircraft: which of the two it i
 and no single flight.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,9 @@ LEAST = 5.0
 
 
 def problem_of(flight: Flight) -> Problem:
-    return problem_about(model_of_library(flight))
+    """All rotors may differ: an effect is planted with all of its numbers."""
+    problem = problem_about(model_of_library(flight))
+    return replace(problem, priors=replace(problem.priors, most={}))
 
 
 def likely(problem: Problem) -> list[str]:
