@@ -45,7 +45,7 @@ from scipy.signal import hilbert, lfilter
 from scipy.stats import chi2
 
 from ...logs import Flight
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...residuals.channels import CHANNEL_HZ, Array, ChannelData
 from ...residuals.measured import signal_of
 from .noise import BandLikelihood, BandNoise, Term
@@ -89,7 +89,7 @@ INEXACT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Instrument:
+class Instrument(ShortRepr):
     """Instrument of one axis in one flight.
 
     Attributes:
@@ -107,8 +107,6 @@ class Instrument:
     misfit: float
     chance: float
     strength: float
-
-    __repr__ = short_repr
 
     @property
     def trust(self) -> float:
@@ -271,7 +269,7 @@ def _lagged(values: Array, lag_s: float) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
+class Answers(ShortRepr):
     """Subspace of the commands' prediction in one band, as reflectors that rotate it into the first
     rows.
 
@@ -282,8 +280,6 @@ class Answers:
 
     reflectors: Array
     scale: Array
-
-    __repr__ = short_repr
 
     @classmethod
     def of(cls, part: Array) -> "Answers":
@@ -322,7 +318,7 @@ class Along(Term):
 
 
 @dataclass(frozen=True, slots=True)
-class InstrumentNoise:
+class InstrumentNoise(ShortRepr):
     """`BandNoise`, with bands inside the control loop evaluated along instruments alone.
 
     Attributes:
@@ -338,8 +334,6 @@ class InstrumentNoise:
     instruments: Mapping[tuple[int, int], Instrument]
     answers: Mapping[tuple[int, int], Mapping[int, Answers]]
     rough: float
-
-    __repr__ = short_repr
 
     @classmethod
     def of(
@@ -420,7 +414,7 @@ class InstrumentNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class InstrumentLikelihood:
+class InstrumentLikelihood(ShortRepr):
     """Likelihood of single terms and of pairs along and across instruments.
 
     Attributes:
@@ -436,8 +430,6 @@ class InstrumentLikelihood:
     along: NDArray[np.intp]
     count: Array
     floor: Array
-
-    __repr__ = short_repr
 
     def log(self, rss: Array, kappa: float = 1.0) -> float:
         """See `BandLikelihood`."""

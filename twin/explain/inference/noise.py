@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...physics.sensors.table import BODY, Sensor, sensor_of
-from ...representation import short_repr
+from ...representation import ShortRepr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ, Array
 from ...vehicle import GRAVITY_M_S2, Vehicle
 from ..settings import DEFAULT, EvidenceSettings
@@ -29,7 +29,7 @@ from .spectrum import BANDS_HZ, Spectrum
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class Term(ShortRepr):
     """Sums over rows that share a noise level.
 
     Attributes:
@@ -46,11 +46,9 @@ class Term:
     floor: float
     constant: bool
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, slots=True)
-class BandNoise:
+class BandNoise(ShortRepr):
     """One noise level per channel and band, shared by all flights.
 
     Attributes:
@@ -64,8 +62,6 @@ class BandNoise:
     own: Array
     rounding: Mapping[tuple[int, int], float]
     level: float = DEFAULT.inference.evidence.level
-
-    __repr__ = short_repr
 
     @classmethod
     def of(
@@ -131,7 +127,7 @@ class BandNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class BandLikelihood:
+class BandLikelihood(ShortRepr):
     """Likelihood of terms whose levels are integrated out one by one.
 
     Attributes:
@@ -145,8 +141,6 @@ class BandLikelihood:
     floor: Array
     constant: NDArray[np.bool_]
     level: float
-
-    __repr__ = short_repr
 
     def log(self, rss: Array, kappa: float = 1.0) -> float:
         """Log likelihood, up to a constant.
