@@ -12,8 +12,15 @@ from scipy.stats import truncnorm
 
 from twin.effects import EFFECTS
 from twin.explain.estimates import unasked
-from twin.explain.inference.estimate import Estimate, credible_interval, share
-from twin.explain.inference.fit import INTERVAL
+from twin.explain.inference.estimate import (
+    Estimate,
+    credible_interval,
+    fitted_estimates,
+    share,
+)
+from twin.explain.inference.evidence import tail_weights
+from twin.explain.inference.fit import INTERVAL, Fit
+from twin.explain.inference.priors import Priors
 from twin.explain.model.numbers import Number, numbers_of
 from twin.vehicle_file import load_vehicle
 
@@ -131,6 +138,33 @@ def test_what_no_flight_asks_for_or_shows_is_not_told() -> None:
 def test_what_is_far_from_its_prior_is_told_by_the_flights() -> None:
     """A number with half the width of its prior, 5.4 deviations off, is told, one at its mean is
     not; nothing tells less than the prior does."""
-    assert share(0.52, 1.0, 0.0) == pytest.approx(0.52)
-    assert share(0.52, 1.0, 5.4) < 0.2
-    assert share(2.0, 1.0, 0.5) == 1.0 == share(0.1, 0.0, 0.0)
+    near, far = tail_weights(np.array([0.0, 5.4]), np.ones(2))
+    assert share(0.52, 1.0, near) == pytest.approx(0.52)
+    assert share(0.52, 1.0, far) < 0.2
+    assert share(2.0, 1.0, near) == 1.0 == share(0.1, 0.0, near)
+
+
+def test_the_prior_of_a_share_is_that_of_the_fit() -> None:
+    """Linear for a factor as well; normal for a shape parameter, however far off it is."""
+    numbers = tuple(NUMBERS[f"slung_load.{n}"] for n in ("mass_kg", "length_m"))
+    names, none, one = tuple(n.full for n in numbers), np.zeros(2), np.ones(2)
+    b = Priors(
+        columns=(0, 1),
+        names=names,
+        cause=("slung_load",) * 2,
+        shape=np.array([n.shape for n in numbers]),
+        now=none,
+        mean=one,
+        slab=0.3 * one,
+        file=np.diag(none),
+        low=0.1 * one,
+        high=9 * one,
+        held=none,
+        day=none,
+        odds={"slung_load": 0.0},
+    )
+    values = dict.fromkeys(names, 0.35)
+    fitted = Fit(("slung_load",), values, numbers, INTERVAL * 0.2 * one, 0.0)
+    mass, length = fitted_estimates(fitted, b, "slung_load")
+    assert mass.prior_share == pytest.approx(0.2 / 0.3 * math.sqrt(4 / (3 + (0.65 / 0.3) ** 2)))
+    assert length.prior_share == pytest.approx(0.2 / 0.3)

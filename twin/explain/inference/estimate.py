@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import norm
 
 from ..model.numbers import Number
-from .evidence import tail_weight
+from .evidence import tail_weights
 from .fit import INTERVAL, Fit
 from .priors import Priors, parameter_of
 
@@ -109,32 +109,32 @@ def normal_power(size: float, sd: float, ridge: float) -> tuple[float, float, fl
     return size ** (1 / ridge), sd * size ** (1 / ridge - 1) / ridge, ridge
 
 
-def share(sd: float, slab: float, tension: float) -> float:
-    """Posterior over prior standard deviation, at most 1; the Student prior of a number that is
-    several deviations off is wider there, see `tail_weight`."""
-    wide = slab / math.sqrt(min(float(tail_weight(np.array(tension))), 1.0))
-    return min(1.0, sd / wide) if slab > 0 else 1.0
+def share(sd: float, slab: float, weight: float) -> float:
+    """Posterior over prior standard deviation, at most 1; a Student prior with a weight below 1, as
+    of `tail_weights`, is wider."""
+    return min(1.0, sd / slab * math.sqrt(min(weight, 1.0))) if slab > 0 else 1.0
 
 
 def fitted_estimates(
     fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
 ) -> list[Estimate]:
     """Estimates of an effect in one fit; a fixed number is described by its prior alone."""
-    tension = priors.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
+    tension = priors.tension(fitted.values)
     place = {n: i for i, n in enumerate(priors.names)}
+    values = [fitted.values.get(n, m) for n, m in zip(priors.names, priors.mean, strict=True)]
+    weights = tail_weights(np.array(values) - priors.mean, priors.tailed)
     found = []
     for n, w in zip(fitted.numbers, fitted.half_widths, strict=True):
         if n.effect != effect:
             continue
         i, value = place[n.full], fitted.values[n.full]
-        slab = float(priors.slab[i])
         found.append(
             Estimate(
                 n,
                 value,
                 None if n.shape else float(priors.now[i] + priors.held[i]),
                 credible_interval(n, value, wider * float(w), fitted.ridges.get(n.full, 1.0)),
-                share(float(w) / INTERVAL, slab, tension[n.full]),
+                share(float(w) / INTERVAL, float(priors.slab[i]), float(weights[i])),
                 tension[n.full],
             )
         )

@@ -95,10 +95,13 @@ TAIL_DEGREES = 3.0
 variance."""
 
 
-def tail_weight(z: Array) -> Array:
-    """Factor on the precision of a Student prior at a standardised deviation z: (nu + 1) / (nu +
-    z^2) (Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989)."""
-    return (TAIL_DEGREES + 1) / (TAIL_DEGREES + z**2)
+def tail_weights(away: Array, deviation: Array) -> Array:
+    """Factor on the precision of a Student prior at a difference from its mean: (nu + 1) / (nu +
+    z^2), z = away / deviation (Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989); 1 where the
+    prior is normal: its `deviation` is 0."""
+    tailed = deviation > 0
+    z = np.divide(away, deviation, where=tailed, out=np.ones(len(away)))
+    return np.where(tailed, (TAIL_DEGREES + 1) / (TAIL_DEGREES + z**2), 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +109,7 @@ class _Prior:
     """Prior of the free entries of `MapEstimate.x` for one candidate model.
 
     Numbers of effects have a Student distribution, as a scale mixture of normal ones, see
-    `tail_weight`.
+    `tail_weights`.
 
     Attributes:
         free: Indices in `x`, shape (m,).
@@ -125,20 +128,15 @@ class _Prior:
     deviation: Array
     odds: float
 
-    def _weights(self, x: Array) -> Array:
-        """Weight of the scale of each entry, 1 where it is normal."""
-        tailed = self.deviation > 0
-        away = np.divide(x - self.mean, self.deviation, where=tailed, out=np.ones(len(x)))
-        return np.where(tailed, tail_weight(away), 1.0)
-
     def precision_at(self, x: Array) -> Array:
         """Precision with the weights of the scales."""
-        root = np.sqrt(self._weights(x))
+        root = np.sqrt(tail_weights(x - self.mean, self.deviation))
         return np.asarray(self.precision * np.outer(root, root))
 
     def log_density(self, x: Array) -> float:
         """Log prior density, without the contribution of the determinant of `precision`."""
-        weight, away = self._weights(x), x - self.mean
+        away = x - self.mean
+        weight = tail_weights(away, self.deviation)
         scaled = np.sqrt(weight) * away
         w, nu = weight[self.deviation > 0], TAIL_DEGREES
         at_mean = math.lgamma((nu + 1) / 2) - math.lgamma(nu / 2) + 0.5 * math.log(2 / nu)
@@ -252,8 +250,7 @@ class LaplaceEvidence:
         precision = np.diag(np.concatenate([np.zeros(len(free)), known_to]))
         precision[: len(free), : len(free)] = spread.inverse()
         log_determinant = float(np.sum(np.log(known_to))) - spread.log_determinant
-        own = np.where(there[free] & ~b.shape[free], b.slab[free], 0.0)
-        deviation = np.concatenate([own, np.zeros(len(days))])
+        deviation = np.concatenate([there[free] * b.tailed[free], np.zeros(len(days))])
         return _Prior(index, means, precision, log_determinant, deviation, b.log_odds(on))
 
     # -- one set -----------------------------------------------------------------------------

@@ -82,6 +82,11 @@ class Priors(ShortRepr):
         return np.asarray(np.sqrt(np.diag(self.file)))
 
     @property
+    def tailed(self) -> Array:
+        """Standard deviation of each Student prior; 0 for a shape parameter, which is normal."""
+        return np.where(self.shape, 0.0, self.slab)
+
+    @property
     def unsure(self) -> frozenset[str]:
         """Effects with a number that is uncertain in the vehicle file."""
         return frozenset(effect_of(self.cause[i]) for i in np.flatnonzero(self.spike > 0))
