@@ -61,9 +61,9 @@ class Held:
 
 
 def next_manoeuvre(naming: Naming, vehicle: Vehicle) -> Suggestion | None:
-    """The manoeuvre that best discriminates between the two leading explanations; None where the
-    name is certain, or where no manoeuvre helps."""
-    if naming.verdict != "cannot_tell" and not naming.undecided:
+    """The manoeuvre that best discriminates between two explanations, see `_rivals`; None where the
+    name is certain, where there is one explanation only, or where no manoeuvre helps."""
+    if len(naming.fitted) < 2 or not (naming.verdict == "cannot_tell" or naming.undecided):
         return None
     best = suggestions(naming, vehicle)[0]
     return best if best.separation >= ENOUGH_NAT else None
@@ -72,8 +72,8 @@ def next_manoeuvre(naming: Naming, vehicle: Vehicle) -> Suggestion | None:
 def suggestions(
     naming: Naming, vehicle: Vehicle, among: Sequence[str] | None = None
 ) -> list[Suggestion]:
-    """Discrimination between the two leading explanations by each manoeuvre, or by each of `among`,
-    the best first."""
+    """Discrimination between two explanations, see `_rivals`, by each manoeuvre, or by each of
+    `among`, the best first."""
     block_s = naming.whitened.settings.block_s
     rivals, flights = _rivals(naming), _flights(naming)
     listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
@@ -103,12 +103,12 @@ def suggestions(
 
 
 def _rivals(naming: Naming) -> tuple[Fit, Fit]:
-    """The leading explanation, and the most probable of the others: of those that only add to it,
-    or of those that lack something of it, whichever are more probable together."""
+    """The leading explanation, and the most probable of those that only add to it, or of those that
+    lack something of it, whichever are more probable together: not always the second of all."""
     first, *others = zip(naming.fitted, naming.probabilities, strict=True)
     more = [o for o in others if {*o[0].effects} > {*first[0].effects}]
     less = [o for o in others if not {*o[0].effects} > {*first[0].effects}]
-    second = max((more, less), key=lambda sets: sum(p for _, p in sets))[0]
+    second = max(filter(None, (more, less)), key=lambda sets: sum(p for _, p in sets))[0]
     return first[0], second[0]
 
 

@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from search_rigs.hypotheses import fit_set
 from search_rigs.library import library
 
+from twin.explain import design
 from twin.explain.design import (
     ENOUGH_NAT,
     Held,
@@ -280,6 +283,33 @@ def test_one_weak_rotor_is_told_from_another_cause_by_a_flight() -> None:
     )
     assert found.separates == (("rotor_efficiency_loss",), ("cog_offset",))
     assert np.isfinite(found.separation)
+
+
+def test_one_explanation_alone_is_separated_from_nothing() -> None:
+    """Something else is missing then: "cannot_tell" without a second one."""
+    alone: Any = SimpleNamespace(
+        fitted=(SimpleNamespace(effects=()),),
+        probabilities=(1.0,),
+        verdict="cannot_tell",
+        undecided=(),
+    )
+    assert next_manoeuvre(alone, COPTER) is None
+
+
+@pytest.mark.parametrize(
+    ("sets", "probabilities", "second"),
+    [
+        (("a", "b", "ac", "ad"), (0.4, 0.25, 0.2, 0.15), "ac"),  # with more: 0.35 together
+        (("a", "b", "ac", "ad"), (0.4, 0.35, 0.15, 0.1), "b"),
+        (("a", "b", "c"), (1.0, 0.0, 0.0), "b"),
+    ],
+)
+def test_rivals_are_of_the_likelier_kind(
+    sets: tuple[str, ...], probabilities: tuple[float, ...], second: str
+) -> None:
+    fitted = [SimpleNamespace(effects=tuple(s)) for s in sets]
+    naming: Any = SimpleNamespace(fitted=fitted, probabilities=probabilities)
+    assert [f.effects for f in design._rivals(naming)] == [("a",), tuple(second)]
 
 
 @pytest.mark.slow
