@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 MOST_NUMBERS = 3
 """Largest number of an effect's numbers in a headline; of several effects, one each."""
 MOST_EFFECTS = 3
-"""Largest number of effects with numbers."""
+"""Largest number of effects with numbers; of sensors beside what acts on the flight, one more."""
 STRIKING = 3.0
-"""Prior deviations of a number from which a sensor is reported with its size in addition to the
-flight."""
+"""Prior deviations of a number from which its effect leads, a sensor as well; and between-flight
+deviations from which flights differ."""
 MOST_VARIED = 2
 """Largest number of effects that differ between flights, and of flights for each."""
 MOST_BLIND = 3
@@ -244,7 +244,10 @@ def leading(
     leads = [e for e in effects if EFFECTS[e].in_the_air or large(e)]
     order = sorted(effects, key=lambda e: (e not in leads, not large(e), -share[e]))
     alike = order[: len(leads)] or order
-    first = [alike[0], *[e for e in alike[1:] if e in determined][: MOST_EFFECTS - 1]]
+    known = [alike[0], *(e for e in alike[1:] if e in determined)]
+    air = [e for e in known if EFFECTS[e].in_the_air][:MOST_EFFECTS]
+    sensors = [e for e in known if not EFFECTS[e].in_the_air][: 1 if air else MOST_EFFECTS]
+    first = [e for e in known if e in {*air, *sensors}]
     later = [e for e in order if e not in first]
     return first, f" Further: {joined([title(e) for e in later])}." if later else ""
 

@@ -238,3 +238,9 @@ def test_what_changes_the_flight_leads_the_claim() -> None:
         ["heading_offset", "rotor_drag"],
         " Further: clock offset and baro bias.",
     )
+    flown = ["mass_offset", "rotor_drag", "cog_offset", "motor_lag", "accel_bias", "gyro_bias"]
+    assert leading(flown, {}, flown, ["accel_bias", "gyro_bias"]) == (
+        ["accel_bias", *flown[:3]],  # a sensor takes no place of what acts on the flight
+        " Further: gyro bias and motor lag.",
+    )
+    assert leading(flown[4:], {}, flown, ["gyro_bias"])[0] == ["gyro_bias"]
