@@ -67,7 +67,8 @@ class SearchPoint:
         begun: Candidate models fitted from their prior means.
         again: Candidate models fitted twice.
         short: Shortfall of exchanges against their predicted gains, nats.
-        sought: Candidate models near which hidden effects were sought, and delays that were.
+        sought: Candidate models near which hidden effects were sought.
+        late: Delays and lags that were tried from their prior means.
         moves: Number of accepted moves.
         ended: Whether no other candidate model is better.
     """
@@ -78,6 +79,7 @@ class SearchPoint:
     again: set[tuple[tuple[str, ...], float]] = field(default_factory=set)
     short: dict[Exchange, float] = field(default_factory=dict)
     sought: set[tuple[str, ...]] = field(default_factory=set)
+    late: set[str] = field(default_factory=set)
     moves: int = 0
     ended: bool = False
 
@@ -153,7 +155,7 @@ def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: boo
         return better
     return (
         _verified(problem, laplace, state, {}, _unsettled(laplace, state))
-        or _verified(problem, laplace, state, {}, _late(problem, laplace, state, at.sought))
+        or _verified(problem, laplace, state, {}, _late(problem, laplace, state, at.late))
         or _uncovered(problem, laplace, state, at.sought)
         or _verified(problem, laplace, state, tried, _weak(laplace, state))
         or _verified(problem, laplace, state, tried, _alone(state))
@@ -296,17 +298,15 @@ def _unsettled(laplace: LaplaceEvidence, state: State) -> list[Trial]:
     return [(state.effects, None)] if promised > MIN_GAIN else []
 
 
-def _late(
-    problem: Problem, laplace: LaplaceEvidence, state: State, sought: set[tuple[str, ...]]
-) -> list[Trial]:
+def _late(problem: Problem, laplace: LaplaceEvidence, state: State, begun: set[str]) -> list[Trial]:
     """The model with each absent delay or lag, from its prior mean, once: beyond a quarter of a
     period of the motion, no slope at zero delay leads there."""
     odds, x = problem.priors.odds, state.best.x
-    absent = [c for c in problem.priors.causes if is_time(c) and (c,) not in sought]
-    late = [c for c in absent if c not in state.effects and odds[c] > LAST]
-    sought |= {(c,) for c in late}
-    sets = [(tuple(sorted((*state.effects, c))), c) for c in late if not laplace.silent(c)]
-    return [(on, _with_expected(problem, x, c)) for on, c in sets]
+    known = {*state.effects, *begun}
+    absent = [c for c in problem.priors.causes if is_time(c) and c not in known]
+    late = [c for c in absent if odds[c] > LAST and not laplace.silent(c)]
+    begun |= {*late}
+    return [(tuple(sorted((*state.effects, c))), _with_expected(problem, x, c)) for c in late]
 
 
 def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:

@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from search_rigs.courses import LEGS
 from search_rigs.hypotheses import against, state_of
 
+from twin.explain.inference import search
 from twin.explain.inference.fit import Problem
 from twin.logs import Flight
 from twin.vehicle_file import load_vehicle
@@ -110,3 +113,24 @@ def test_a_lag_that_is_far_from_the_files_is_found() -> None:
     state = far.start(far.priors.causes, 1.0)
     found = far.values(state.best.x)["motor_lag.tau_s"]
     assert found == pytest.approx(COPTER.rotors.lag_up_s - 0.15, abs=0.005)
+
+
+def test_a_delay_that_no_channel_shows_yet_is_tried_once_one_does() -> None:
+    names, none, one = ("imu_delay", "motor_lag"), np.zeros(2), np.ones(2)
+    known: Any = SimpleNamespace(
+        causes=names,
+        odds=dict.fromkeys(names, 0.0),
+        of=lambda causes: np.array([names.index(c) for c in causes]),
+        **{"now": none, "mean": 0.1 * one, "slab": one, "low": none, "high": one},
+    )
+    some: Any = SimpleNamespace(priors=known)
+    at: Any = SimpleNamespace(effects=(), best=SimpleNamespace(x=none))
+    begun: set[str] = set()
+
+    def tried(*silent: str) -> list[tuple[str, ...]]:
+        near: Any = SimpleNamespace(silent=lambda c: c in silent)
+        return [on for on, _ in search._late(some, near, at, begun)]
+
+    assert tried("imu_delay") == [("motor_lag",)]
+    assert tried() == [("imu_delay",)]
+    assert not tried()

@@ -14,7 +14,7 @@ from places import DATA, needs
 from twin.effects import EFFECTS
 from twin.explain.balance import trim_of
 from twin.explain.explanation import explain
-from twin.explain.holdout import hidden
+from twin.explain.holdout import hidden, localize
 from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import lacking
 from twin.frames import to_euler
@@ -93,6 +93,8 @@ def test_of_two_flights_one_without_an_imu_the_pose_is_compared_in_both(same: Fl
     flights = [same, replace(without(same, *OF_IMU), name="other")]
     model = model_of(flights, COPTER, candidates(flights))
     assert names(model) == MOTION
+    places = localize(model, {"rotor_drag.k_xy_1_s": 0.5}, dict.fromkeys(MOTION, 1e-3))
+    assert places[0].channel in MOTION  # one flight alone has more
 
 
 @pytest.mark.slow
