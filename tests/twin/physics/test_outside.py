@@ -180,3 +180,40 @@ def test_what_is_said_from_outside_acts_once_the_twin_is_left_alone() -> None:
     for other in shown[1:]:
         np.testing.assert_array_equal(shown[0], other)
     assert 20 * off[0] < off[1] < off[2]
+
+
+@pytest.mark.slow
+def test_a_tilt_of_the_given_attitude_is_no_force() -> None:
+    """A hover whose attitude is given rolled by 3 degrees and pitched by 2: the accelerometer goes
+    on to read what it does at the true one, and let go, the twin stays where it is."""
+    roll, pitch, seconds = np.radians(3.0), np.radians(2.0), 2.0
+    plant = in_air(FREE)
+    there = plant.fly(plant.state(), plant.inputs(), seconds)
+    truth = plant.outputs(there[-1], plant.inputs())
+    given_motion = plant.get(there[1:], *GIVEN)
+    given_motion[:, 6:10] = np.array([1.0, roll / 2, pitch / 2, 0.0])
+    run, rig = follow(given_motion, {}, {})
+    shown = rig.outputs(run.x, rig.inputs())
+    g = FREE.gravity_m_s2
+    assert shown["disturbance.gravity_x"] == pytest.approx(g * np.sin(pitch), rel=0.01)
+    assert shown["disturbance.gravity_y"] == pytest.approx(-g * np.sin(roll), rel=0.01)
+    assert abs(shown["disturbance.force_z"]) < 0.1 * FREE.mass_kg * g * np.sin(pitch)
+    for a in "xyz":
+        off = shown[f"specific_force_{a}"] - truth[f"specific_force_{a}"]
+        assert abs(off) < 0.1 * g * np.sin(pitch)
+    for k in range(200):
+        run.step(seconds + 1e-3 * k, 1e-3, rig.inputs())
+    moved = rig.get(run.x, "vel_x", "vel_y")
+    assert np.abs(moved).max() < 0.05 * 0.2 * g * np.sin(pitch)  # over 0.2 s; fades, with 5 s
+
+
+@pytest.mark.slow
+def test_a_restart_alone_teaches_nothing() -> None:
+    """However far it is from where the twin was."""
+    run, rig = running()
+    u = rig.inputs({"restart": 1.0, **{f"restart.{k}": v for k, v in GIVEN.items()}})
+    run.step(0.5, 1e-3, u)
+    names = [n for n in rig.names if n.startswith("disturbance.")]
+    np.testing.assert_array_equal(rig.get(run.x, *names), np.zeros(len(names)))
+    run.step(0.501, 1e-3, u)  # it was to stay where it had moved from
+    assert np.abs(rig.get(run.x, *names)).max() > 0
