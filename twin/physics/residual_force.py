@@ -70,6 +70,8 @@ resolves to the bandwidth of logs."""
 PERIOD_S = 2e-3
 """Time between two evaluations of the law and draws of the noise, s. With 5 ms errors of attitude
 and rates grow by up to 6 and 8 % (RflySimDT, real_2, after 0.05 s), with 2 ms by 1 and 2 %."""
+_LARGEST = 1e12
+"""Magnitude to which a module is bounded before it fades, m/s2 and rad/s2: above any `most`."""
 _BANDS = (len(OUTPUTS), len(NOISE_HZ))  # shape of the noise
 
 
@@ -213,7 +215,8 @@ def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX) -> ca.SX:
     d = distance(law, x)
     said = ca.mtimes(linear, features(x))
     if law.module is not None:
-        said = said + law.module(x)
+        # Finite before it fades, as zero times infinity is no number.
+        said = said + ca.fmin(ca.fmax(law.module(x), -_LARGEST), _LARGEST)
     return _fade(d) * said
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -183,6 +184,18 @@ def test_it_fades_without_a_step_and_ends_at_zero() -> None:
     assert np.abs(acts[away < 1]).max() > 1
     steps = np.abs(np.diff(acts, axis=0)).max(axis=0)
     assert np.all(steps < 0.01 * np.ptp(acts, axis=0))  # one of 4000 steps, not a jump
+
+
+def test_a_module_that_overflows_is_bounded_and_fades_to_zero() -> None:
+    """One output is infinite, one no number, where the vehicle is fast."""
+    x = ca.SX.sym("x", len(INPUTS))
+    whole = ca.vertcat(ca.exp(1e3 * x[0]), ca.sqrt(1 - x[0]), 0, 0, 0, 0)
+    made = replace(alone(), module=ca.Function("module", [x], [whole]), most=np.full(6, 2.0))
+    rig = Rig(residual_force(VEHICLE, made))
+    near, far = (said(rig, rig.inputs(motion(vel_x=v))) for v in (2.0, 1e2))
+    assert near["force_x"] == pytest.approx(2.0 * VEHICLE.mass_kg)
+    assert abs(near["force_y"]) == pytest.approx(2.0 * VEHICLE.mass_kg)
+    assert [far[n] for n in NAMES] == [0.0] * len(NAMES)
 
 
 @pytest.mark.slow
