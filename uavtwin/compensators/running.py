@@ -48,12 +48,13 @@ class CompiledCompensator:
         n, samples = flight.virtual.shape[1], len(flight.t_s)
         said = np.zeros((samples, len(_KINDS) * n + 2))
         said[:, n : 2 * n] = self.network.uncorrected_rms
+        given = fed(self.network, flight)
         stepping = Stepping(self.fmu, self.network)
         try:
             for span in flight.spans:
                 stepping.begin()
                 rows = slice(*span)
-                said[rows] = [stepping.step(given) for given in fed(self.network, flight)[rows]]
+                said[rows] = [stepping.step(row) for row in given[rows]]
         finally:
             stepping.close()
         correction, spread, anomaly, inside = np.split(said, [n, 2 * n, 2 * n + 1], axis=1)
