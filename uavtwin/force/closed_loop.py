@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.slave import Slave
 from learning.force.model import ForceModel, MissionCheck
 from twin.errors import FmuError, ModelError
-from twin.flight.assembly import SENSED, flying_twin, gust_switches
+from twin.flight.assembly import CONTROLLERS, SENSED, gust_switches
 from twin.flight.mission import mission_duration_s
 from twin.frames import AXES
 from twin.physics.residual_force import parameter_values
@@ -182,13 +182,14 @@ def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Missi
     return MissionTrack(float(np.sqrt(np.mean(away**2))), float(away.max()), inside)
 
 
-def controllable(vehicle: Vehicle) -> bool:
-    """Whether a controller can be designed for a vehicle, so that its twin can fly missions."""
+def uncontrollable(vehicle: Vehicle) -> str:
+    """Why no controller can be designed for a vehicle, so that its twin flies no mission; empty:
+    one can."""
     try:
-        flying_twin(vehicle, HOVER)
-    except ModelError:
-        return False
-    return True
+        CONTROLLERS["lqr"](vehicle)
+    except ModelError as error:
+        return str(error)
+    return ""
 
 
 def lost_by(
@@ -247,8 +248,8 @@ def flyable(
         memory: Results of steps that were done before.
         progress: Called with the share done, 0..1.
     """
-    if not controllable(vehicle):
-        return laws[0]
+    if problem := uncontrollable(vehicle):
+        return replace(laws[0], closed_loop=MissionCheck(problem=problem))
     airs = random_air(FLIGHTS, nothing.seed)
     missions = [(m, airs[i :: len(MISSIONS)]) for i, m in enumerate(MISSIONS)]
     rests = memory.array("at rest", partial(at_rest, vehicle, laws))

@@ -32,7 +32,7 @@ from twin.residuals.teacher_forced import GRID_S
 from ..exports.parts import NOISE, LearnedForce, imu_starts, twin
 from ..exports.write import temporary_fmu
 from ..vehicles import Vehicle
-from .closed_loop import HOVER, controllable, flown
+from .closed_loop import HOVER, flown, uncontrollable
 
 Array = NDArray[np.float64]
 READINGS = tuple(f"{stem}_{a}" for stem in ("acc", "gyro") for a in AXES)
@@ -200,7 +200,7 @@ def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
     """
     found = [own for f in flights if (own := flight_levels(f, vehicle)) is not None]
     nothing = np.zeros((len(OUTPUTS), 1 + len(NOISE_HZ)))
-    if not found or not controllable(vehicle):
+    if not found or uncontrollable(vehicle):
         return nothing
     wanted, middle = wanted_levels(found), np.array(NOISE_HZ)
     white = np.repeat(white_noise(wanted), len(AXES))[:, None]

@@ -131,8 +131,8 @@ def _claim(model: ForceModel) -> str:
         law += f"; laws with which the twin does not come to rest in a hover: {gone.unsteady}"
     if gone.withdrawn:
         law += f"; laws with which missions were lost: {gone.withdrawn}"
-    if model.ridge and not gone.flights:
-        law += "; flown on no mission, as no controller can be designed for this vehicle file"
+    if model.ridge and gone.problem:
+        law += f"; flown on no mission, as no controller can be designed: {gone.problem.strip('.')}"
     return f"force: {law}; alongside it the untrained observer."
 
 

@@ -9,7 +9,9 @@ from learning.force.equations import Equations
 from learning.force.laws import Taught
 from learning.force.model import Acceptance, ForceModel, TrainingFlight
 from learning.force.windows import FlightWindows
+from twin.errors import ModelError
 from twin.explain.model.numbers import with_effects
+from twin.flight.assembly import COMPONENTS
 from twin.physics.residual_force import FEATURES, OUTPUTS, ForceLaw
 from twin.residuals.aligned import components_of
 from twin.vehicle_file import load_vehicle
@@ -96,14 +98,25 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
 def test_a_vehicle_that_no_controller_can_fly_gets_the_best_law_of_its_flights(
     empty: ForceLaw, memory: Memory
 ) -> None:
-    """Its thrust hardly rises with the command, so that no controller can invert it."""
+    """Its thrust hardly rises with the command, so that no controller can invert it: said so."""
     flat = with_effects(COPTER, ["thrust_curve"], {"thrust_curve.slope": -0.95})
     laws = [_model(empty, TURNS, ridge=0.1), _model(empty, DRAG, ridge=1.0)]
     found = flyable(laws, _model(empty), flat, memory, lambda _: None)
-    assert found is laws[0] and found.closed_loop.flights == 0
+    assert found.law is laws[0].law and found.closed_loop.flights == 0
     flights = (TrainingFlight("1", ""), TrainingFlight("2", ""))
     told = replace(found, flights=flights, acceptance=Acceptance(0.5, 0.5, None))
-    assert "no controller can be designed" in _claim(told)
+    assert "no controller can be designed: copter_default: its thrust map" in _claim(told)
+
+
+def test_what_is_no_matter_of_the_controller_is_not_taken_for_it(
+    empty: ForceLaw, memory: Memory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise ModelError("imu: broken")
+
+    monkeypatch.setitem(COMPONENTS, "imu", broken)
+    with pytest.raises(ModelError, match="imu: broken"):
+        flyable([_model(empty, DRAG, ridge=1.0)], _model(empty), COPTER, memory, lambda _: None)
 
 
 @pytest.mark.slow
