@@ -70,8 +70,8 @@ def leaves_motion(spectrum: Spectrum) -> dict[str, bool]:
 
 
 def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> list[Start]:
-    """Best points of the valleys of an effect, where they are more probable than the state: over
-    all other numbers, its own fixed, with the largest day-to-day variation."""
+    """Best points of the valleys of an effect, where they are more probable than the state, each
+    with the numbers of the effect fixed and the largest day-to-day variation."""
     b = problem.priors
     own = np.array([i for i in b.of([cause]) if not b.shape[i]])
     shapes = np.array([i for i in b.of([cause]) if b.shape[i]], dtype=np.intp)
@@ -92,6 +92,12 @@ def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> li
         """Residuals at some numbers, with the slopes of the state."""
         return spectrum.moved(problem.channels(x), *problem.split(x))
 
+    def log_evidence(near: Spectrum, rest: Sequence[str], on: Sequence[str]) -> float:
+        """Evidence over the numbers of `rest`, all others fixed, with the prior odds of `on`."""
+        held = problem.laplace(near.only(problem.moving(rest))).best(rest, 1.0)
+        return held.evidence - b.log_odds(rest) + b.log_odds(on)
+
+    least = log_evidence(spectrum, others, state.effects)
     deviation = _deviations(problem, spectrum)
     slopes = _constants(spectrum)[1] / deviation[:, None] * b.slab
     none = np.zeros(len(b.now))
@@ -114,9 +120,8 @@ def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> li
         places = []
         for size, shape in product(SIZES, SHAPES if len(shapes) else (1.0,)):
             x = at(size, shape, numbers)
-            held = problem.laplace(there(x).only(problem.moving(rest)))
-            evidence = held.best(rest, 1.0).evidence
-            if evidence > state.evidence:
+            evidence = log_evidence(there(x), rest, on)
+            if evidence > least:
                 places.append((evidence, (on, x)))
         found += sorted(places, key=lambda p: -p[0])[:STARTS]
     return [start for _, start in sorted(found, key=lambda f: -f[0])]

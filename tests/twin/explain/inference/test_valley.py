@@ -1,14 +1,17 @@
 """Effects that hide each other: what leaves room for them, and that a search finds both."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from search_rigs.hypotheses import against, nothing_of
 from search_rigs.library import library
 
 from twin.explain.explanation import explain
 from twin.explain.inference import search
 from twin.explain.inference.selection import name_effects
 from twin.explain.inference.spectrum import Rows, Spectrum
-from twin.explain.inference.valley import MORE, leaves_motion
+from twin.explain.inference.valley import MORE, STARTS, hidden_starts, leaves_motion
 from twin.logs import Flight
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
@@ -53,6 +56,18 @@ def test_constants_are_no_motion() -> None:
 def hidden_load() -> Flight:
     """In hover neither shows: load and lack of mass weigh what the file says."""
     return fly(COPTER, COPTER.with_effects(HIDDEN), 1, "tour", LEGS)
+
+
+@pytest.mark.slow
+def test_places_are_compared_with_the_set_at_their_own_day_to_day_variation() -> None:
+    """Whatever the set's own evidence is, at its own factor on it."""
+    problem = against(hidden_load(), COPTER, *HIDDEN)
+    state = nothing_of(problem)
+    laplace = problem.linearised(state)
+    starts = [on for on, _ in hidden_starts(problem, laplace, state)]
+    assert starts == [tuple(sorted(HIDDEN))] * STARTS
+    other = replace(state, best=replace(state.best, kappa=1 / 64, evidence=np.inf))
+    assert [on for on, _ in hidden_starts(problem, laplace, other)] == starts
 
 
 @pytest.mark.slow
