@@ -123,8 +123,8 @@ class Origin:
         tried: Scores of the ridges on flights left out; empty for a single flight.
         acceptance: Comparison with predictions that need no law, on flights left out.
         closed_loop: Missions in random wind before the law was released.
-        imu_noise: White noise of accelerometer, m/s2, and gyroscope, rad/s, in hover; zero where no
-            flight hovers, missing where no flight taught it.
+        imu_noise: White noise of accelerometer, m/s2, and gyroscope, rad/s, in readings of a hover
+            5 ms apart; missing where no flight taught it.
     """
 
     vehicle: str

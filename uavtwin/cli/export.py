@@ -129,8 +129,10 @@ def export(
         bool,
         typer.Option(
             "--noise",
-            help="Of a corrected-twin with a learned force: what it does not foretell is drawn, as "
-            "unrestful as the hovers of its flights; by the start value residual_force.seed.",
+            help="Of a corrected-twin with a learned force: a random force and moment, and white "
+            "noise of accelerometer and gyroscope, as unrestful as the hovers of its flights. "
+            "residual_force.seed and imu.seed draw them; residual_force.noise.enabled = 0 ends the "
+            "first alone.",
         ),
     ] = False,
     int8: Annotated[

@@ -1,7 +1,7 @@
 """Exportable objects: components of a vehicle, the whole twin, a replay, a compensator."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -145,9 +145,18 @@ LAWLESS = "its training accepted no law: the untrained observer alone acts, wher
 """What exports say of a twin whose training found none that flies better on other flights."""
 
 
-def imu_starts(white: Iterable[float]) -> dict[str, float]:
-    """Start values of the white noise of accelerometer, m/s2, and gyroscope, rad/s."""
-    return dict(zip(("imu.acc_noise", "imu.gyro_noise"), white, strict=False))
+READ_S = 5e-3
+"""Time between two draws of the white noise that flights have, s: a fifth of the shortest period of
+`NOISE_HZ`. It is held in between, so that who reads more often finds the same density below."""
+
+
+def imu_starts(white: Sequence[float]) -> dict[str, float]:
+    """Start values of the IMU for white noise of accelerometer, m/s2, and gyroscope, rad/s, in
+    readings `READ_S` apart; none, so that those of the vehicle file stay, where it is not known."""
+    if not white or min(white) <= 0:
+        return {}
+    acc, gyro = white
+    return {"imu.acc_noise": acc, "imu.gyro_noise": gyro, "imu.sample_period": READ_S}
 
 
 def _taught(

@@ -29,7 +29,7 @@ from twin.physics.residual_force import NOISE_HZ, OUTPUTS, noise_values
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.teacher_forced import GRID_S
 
-from ..exports.parts import NOISE, LearnedForce, imu_starts, twin
+from ..exports.parts import NOISE, READ_S, LearnedForce, imu_starts, twin
 from ..exports.write import temporary_fmu
 from ..vehicles import Vehicle
 from .closed_loop import HOVER, flown, uncontrollable
@@ -48,9 +48,6 @@ ROUNDS, MOST = 4, 100.0
 flights."""
 SEEDS = (1, 2)
 """Random seeds of the simulated hovers in each iteration."""
-READ_S = 5e-3
-"""Time between two readings of a simulated hover, s: a fifth of the shortest period of
-`NOISE_HZ`."""
 FLOWN_S, MEASURED_S = 45.0, 30.0
 """Duration of a simulated hover, s, and of its end, from which the spectrum is taken; the transient
 of the take-off has decayed by then."""
@@ -72,7 +69,7 @@ class HoverLevel:
         reading: Column of the flight table.
         hz: Centre frequency of the third-octave, Hz.
         aircraft: Density of the flight; missing where its log is too slow.
-        calm: Density of the twin in hover in still air, without its noise.
+        calm: Density of the twin in hover in still air, with the noise of its vehicle file alone.
         drawn: Density of the twin in hover with its noise.
     """
 
@@ -209,7 +206,7 @@ def hover_noise(flights: Sequence[Flight], vehicle: Vehicle, force: LearnedForce
     noise[len(AXES) :] *= 2 * np.pi * middle  # a moment acts on the rates through an integrator
     with _hovering(vehicle, _with(force, noise + _LEAST)) as hovered:
         for _ in range(ROUNDS):
-            own = hovered(_starts(noise) | imu_starts(white[:: len(AXES), 0]))
+            own = hovered(_starts(noise) | imu_starts(white[:: len(AXES), 0].tolist()))
             if own is None:
                 return nothing
             lacks = np.clip(wanted / own, 1 / MOST, MOST)
@@ -231,8 +228,10 @@ def hover_levels(
     """
     if not force.model.law.noise.any():
         return ()
+    sensors = vehicle.sensors
+    file = {"imu.acc_noise": sensors.accel_noise_m_s2, "imu.gyro_noise": sensors.gyro_noise_rad_s}
     with _hovering(vehicle, force) as hovered:
-        calm, drawn = hovered({NOISE: 0.0} | imu_starts((0.0, 0.0))), hovered({})
+        calm, drawn = hovered({NOISE: 0.0} | file), hovered({})
     if calm is None or drawn is None:
         return ()
     rows = []

@@ -18,7 +18,7 @@ from twin.formatting import joined
 from twin.frames import AXES
 from twin.logs import Flight
 
-from ..exports.parts import LearnedForce
+from ..exports.parts import LearnedForce, imu_starts
 from ..flights import check_names
 from ..report.page import render
 from ..vehicles import Vehicle
@@ -79,7 +79,9 @@ def train_force(
     unrest = partial(hover_noise, flights, vehicle, LearnedForce(model))
     noise = memory.array("noise of hovers and of readings", unrest)
     white = tuple(noise[:: len(AXES), 0].tolist())
-    model = replace(model, law=replace(model.law, noise=noise[:, 1:]), imu_noise=white)
+    model = replace(model, law=replace(model.law, noise=noise[:, 1:]))
+    if imu_starts(white):
+        model = replace(model, imu_noise=white)
     save_force(model, out)
     (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
     (out / REPORT).write_text(_page(model), encoding="utf-8")

@@ -1,12 +1,17 @@
 """Spectra of hovers, and how alike they are."""
 
+import hashlib
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from twin.physics.residual_force import NOISE_HZ
+from learning.force.model import ForceModel
+from twin.component import Run
+from twin.physics.residual_force import FEATURES, INPUTS, NOISE_HZ, OUTPUTS, ForceLaw
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.exports.parts import READ_S, LearnedForce, twin
 from uavtwin.force.hover_noise import (
-    READ_S,
     READINGS,
     HoverLevel,
     flight_levels,
@@ -18,6 +23,8 @@ from uavtwin.force.hover_noise import (
 from uavtwin.vehicles import load_vehicle
 
 COPTER = load_vehicle("copter_default")
+SENSORS = replace(COPTER.sensors, accel_noise_m_s2=0.1, gyro_noise_rad_s=0.02)
+NOISY = replace(COPTER, sensors=SENSORS)
 UP: Waypoints = (
     ("ground", 0.5, (0.0, 0.0, 0.0)),
     ("takeoff", 2.5, (0.0, 0.0, -2.0)),
@@ -72,3 +79,43 @@ def test_hovers_are_alike_within_a_factor_of_two_of_rms() -> None:
     rows.append(HoverLevel("one", "acc_x", 40.0, None, 1.0, 1.0))
     assert "in 75 % of 4 third-octaves" in noise_claim(rows)
     assert "without it in 0 %" in noise_claim(rows)
+
+
+def _imu(*white: float) -> Run:
+    """IMU at rest of a twin with the noise of a law whose flights have this white noise."""
+    d = len(INPUTS)
+    law = ForceLaw(
+        linear=np.zeros((len(OUTPUTS), len(FEATURES))),
+        centre=np.zeros(d),
+        scale=np.ones(d),
+        whitening=np.eye(d),
+        reach=1.0,
+        most=np.ones(len(OUTPUTS)),
+        units=np.eye(len(OUTPUTS)),
+        noise=np.ones((len(OUTPUTS), len(NOISE_HZ))),
+    )
+    sha256 = hashlib.sha256(NOISY.toml().encode()).hexdigest()
+    model = ForceModel(law=law, vehicle=NOISY.name, vehicle_sha256=sha256, seed=0, flights=())
+    model = replace(model, imu_noise=white) if white else model
+    imu = twin(NOISY, force=LearnedForce(model), noise=True).assembly.parts["imu"]
+    return Run(imu, imu.input_values(), imu.parameter_values())
+
+
+def test_white_noise_that_no_flight_told_is_that_of_the_vehicle_file() -> None:
+    for white in ((), (0.0, 0.0)):
+        starts = {v.name: v.start for v in _imu(*white).component.parameters}
+        assert starts["acc_noise"] == 0.1
+        assert starts["gyro_noise"] == 0.02
+
+
+def test_white_noise_has_its_density_however_often_it_is_read() -> None:
+    sigma, step_s = 0.4, 1e-3
+    run = _imu(sigma, 0.01)
+    u, read = run.component.input_values(), []
+    for k in range(12000):
+        run.step(step_s * k, step_s, u)
+        read.append(run.outputs(u)[:3])
+    below = np.array(NOISE_HZ) > 1
+    for every in (1, round(READ_S / step_s)):
+        found = levels(np.array(read)[::every], 1 / (step_s * every))[:, below]
+        assert found.mean() / (2 * READ_S * sigma**2) == pytest.approx(1, abs=0.15)
