@@ -513,7 +513,10 @@ def _grounded(found: Explanation) -> str:
     all."""
     if not found.lost:
         return ""
-    lost = joined([f"{m.name} ({' '.join(m.problem.split())})" for m in found.lost])
+    missions: dict[str, list[str]] = {}
+    for m in found.lost:
+        missions.setdefault(" ".join(m.problem.split()), []).append(m.name)
+    lost = joined([f"{joined(names)} ({problem})" for problem, names in missions.items()])
     return (
         f"{lost}; uavtwin explain, {' and '.join(found.flights)}. Take out an [effects.NAME] "
         f"section of this file, the least sure first, or explain with more flights. Once it flies, "

@@ -448,15 +448,18 @@ def test_a_model_that_does_not_fly_is_told_so_first(
     assert named.found is not None
     assert "not fly" not in headline(named.found).text
     assert not vehicles.load_vehicle(named.out / "vehicle.toml").grounded
-    missions = (Mission("hover", False, math.nan, "it tips\nover"), Mission("tour", True, 0.1, ""))
+    lost = [Mission(name, False, math.nan, "it tips\nover") for name in ("hover", "land")]
+    missions = (*lost, Mission("tour", True, 0.1, ""))
     fallen = replace(named.found, missions=missions)
-    first = "The model with these changes does not fly hover in closed loop. "
+    first = "The model with these changes does not fly hover or land in closed loop. "
     assert headline(fallen).text == first + headline(named.found).text
     assert headline(fallen).numbers == headline(named.found).numbers
     since = replace(fallen, since=("zero",))
     assert headline(since).text.startswith(f"{first}Since the calibration on zero: ")
     quiet = headline(replace(fallen, verdict="nothing")).text
-    assert quiet.startswith("The model with the numbers of these flights does not fly hover in ")
+    assert quiet.startswith(
+        "The model with the numbers of these flights does not fly hover or land in "
+    )
 
     out = run(tmp_path / "out", dragged[0], "--vehicle", "copter_default", found=fallen)
     assert out.stdout.startswith(first)
@@ -466,7 +469,7 @@ def test_a_model_that_does_not_fly_is_told_so_first(
     )
     vehicle = vehicles.load_vehicle(out.out / "vehicle.toml")
     assert vehicle.text.startswith(
-        "# DOES NOT FLY: hover (it tips over); uavtwin explain, one and "
+        "# DOES NOT FLY: hover and land (it tips over); uavtwin explain, one and "
     )
     assert "Take out an [effects.NAME] section" in vehicle.grounded
     assert vehicle.effects == vehicles.load_vehicle(named.out / "vehicle.toml").effects
@@ -476,6 +479,8 @@ def test_a_model_that_does_not_fly_is_told_so_first(
     for made in (component("airframe", vehicle), twin(vehicle)):
         notes = [p.note for p in products_of(made, Starts({}), (2,))]
         assert notes and {*notes} == {f"DOES NOT FLY: {vehicle.grounded}"}
+    for made in (component("airframe", long := vehicle.marked("word " * 300)), twin(long)):
+        assert all(p.note.endswith("word ...") for p in products_of(made, Starts({}), (2,)))
     (plain,) = products_of(component("airframe", vehicle.marked("")), Starts({}), (2,))
     assert not plain.note
     again = explained_vehicle(replace(named.found, vehicle=vehicle))

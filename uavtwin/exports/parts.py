@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from cosim.whole_twin import COMPENSATOR
 from fmus import FmuModel, replay_model
 from fmus.compensator import FILE, INT8_FILE, NetworkFile, read_network
+from fmus.names import LONGEST_TEXT
 from twin.component import Component, unknown_name
 from twin.effects import effects_for
 from twin.errors import TwinError
@@ -205,9 +207,13 @@ def component(
         _check_drive(name, drive)
     _check_position(name, position)
     made = COMPONENTS[name](model, Choices(effects_for(model), drive, position, mission))
-    if not model.grounded:
-        return made
-    return replace(made, description=f"{made.description} {GROUNDED}{model.grounded}")
+    return replace(made, description=with_reason(made.description, model.grounded))
+
+
+def with_reason(description: str, grounded: str) -> str:
+    """A description for an FMU, followed by the reason why the twin cannot fly; "": none."""
+    text = f"{description} {GROUNDED}{grounded}" if grounded else description
+    return shorten(text, LONGEST_TEXT, placeholder=" ...")
 
 
 def _check_drive(name: str, drive: str) -> None:

@@ -26,7 +26,7 @@ from ..output import results_folder, sha256
 from ..record import Record
 from ..vehicles import GROUNDED
 from .credibility import CredibilityRecord, FactorRecord, check_required, members, of_file
-from .parts import LAWLESS, Twin
+from .parts import LAWLESS, Twin, with_reason
 from .traceability import members as traces
 
 Exportable = Component | FmuModel | NetworkFile | Twin
@@ -232,8 +232,8 @@ def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
             write_ssp(system, path)
 
     fused = fused_model(assembly, twin.name, compensator)
-    note = f"{GROUNDED}{twin.grounded}" if twin.grounded else ""
-    fused = replace(fused, description=f"{fused.description} {note}".rstrip())
+    fused = replace(fused, description=with_reason(fused.description, twin.grounded))
+    note = _grounded(fused.description)
     system = Product(f"{fused.name}.ssp", write, references=True)
     said = [note] * bool(note) + [c for c in twin.changes if c == LAWLESS]
     if bands is not None and not bands.level:
