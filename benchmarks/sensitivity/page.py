@@ -62,7 +62,8 @@ def page(
         *(_asked(changes) if changes else []),
         *(_watched(watched) if watched else []),
         "",
-        f"State of `twin/`: {state}.",
+        f"State of `twin/`: {state}. Settings have the names of that state; the "
+        f"[changelog](../../CHANGELOG.md) says which have others now.",
     ]
     return "\n".join(lines) + "\n"
 
