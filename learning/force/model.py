@@ -81,14 +81,14 @@ class MissionCheck:
         withdrawn: Laws with which missions were lost, the better first.
         unsteady: Laws with which the twin does not settle in a hover in still air; they were not
             tried further.
-        problem: Why no controller can be designed for the vehicle; empty: one can.
+        problem: Why no controller can be designed for the vehicle; missing: one can.
     """
 
     flights: int = 0
     lost: int = 0
     withdrawn: int = 0
     unsteady: int = 0
-    problem: str = ""
+    problem: str | UnsetType = UNSET
 
 
 @dataclass(frozen=True, slots=True)
