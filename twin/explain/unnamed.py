@@ -256,7 +256,7 @@ def _with_columns(
         columns = terms(quantity, name, tones_hz if _of_body(name) else (), settings)
         readings = next(p.readings for p in flight.factors if name in p.readings.names)
         values = np.stack([t.values for t in columns], axis=-1)
-        made.append(replace(channel, slopes=readings.filtered(values, readings.filters_hz)))
+        made.append(replace(channel, slopes=readings.predicted(values)))
     return columns, made
 
 

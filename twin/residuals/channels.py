@@ -85,7 +85,8 @@ class Measured(ShortRepr):
     Attributes:
         names: Names of its channels.
         unit: Unit of its channels.
-        filters_hz: Low-passes to apply to a prediction, in order.
+        sensor_hz: Low-pass of the sensor, which a prediction has not passed; None: there is none.
+        bands_hz: Low-passes of readings and prediction, in order.
         rows: Grid points of each uninterrupted piece.
         settle: Grid points at the start of a piece in which the filters settle.
         values: Readings at the retained rows of all pieces, shape (n, c).
@@ -95,30 +96,41 @@ class Measured(ShortRepr):
 
     names: tuple[str, ...]
     unit: str
-    filters_hz: tuple[float, ...]
+    sensor_hz: float | None
+    bands_hz: tuple[float, ...]
     rows: tuple[NDArray[np.intp], ...]
     settle: int
     values: Array
     t_s: Array
     piece: NDArray[np.intp]
 
-    def filtered(self, values: Array, filters_hz: Sequence[float]) -> Array:
-        """Retained rows of values on the grid, low-passed piece by piece."""
-        return self._over_pieces(values, filters_hz, EVERY)
+    def filtered(self, values: Array) -> Array:
+        """Retained rows of readings on the grid, low-passed piece by piece."""
+        return self._over_pieces(values, EVERY, bands_hz=self.bands_hz)
+
+    def predicted(self, values: Array) -> Array:
+        """Retained rows of a prediction, which passes the sensor, too."""
+        return self._over_pieces(values, EVERY, self.sensor_hz, self.bands_hz)
 
     def unfiltered(self, values: Array) -> Array:
         """All rows of values on the grid after the filters have settled, not decimated."""
-        return self._over_pieces(values, (), 1)
+        return self._over_pieces(values, 1)
 
     def sensed(self, predicted: Array) -> Array:
         """Rows of a prediction after the low-pass of the sensor only."""
-        return self._over_pieces(predicted, self.filters_hz[:-1], 1)
+        return self._over_pieces(predicted, 1, self.sensor_hz)
 
-    def _over_pieces(self, values: Array, filters_hz: Sequence[float], every: int) -> Array:
+    def _over_pieces(
+        self,
+        values: Array,
+        every: int,
+        sensor_hz: float | None = None,
+        bands_hz: tuple[float, ...] = (),
+    ) -> Array:
         retained = []
         for rows in self.rows:
-            part = values[rows[0] : rows[-1] + 1]
-            for cutoff in filters_hz:
+            part = sensed(values[rows[0] : rows[-1] + 1], sensor_hz)
+            for cutoff in bands_hz:
                 part = low_pass(part, cutoff)
             retained.append(part[self.settle :: every])
         return np.concatenate(retained)
@@ -134,7 +146,7 @@ class Measured(ShortRepr):
         for i, name in enumerate(self.names):  # one by one to save memory
             some = np.flatnonzero(np.any(slopes[:, i] != 0, axis=0))
             both = np.vstack([predicted[:, i], slopes[:, i, some].T]).T  # filters run along columns
-            both = self.filtered(both, self.filters_hz)
+            both = self.predicted(both)
             own, answer = self.values[:, i], np.zeros((len(both), slopes.shape[2]))
             residual, answer[:, some] = own - both[:, 0], both[:, 1:]
             found.append(ChannelData(name, self.unit, self.t_s, own, residual, answer, self.piece))
@@ -176,12 +188,11 @@ def measured(
     settle = round(2 / band_hz * GRID_HZ)
     if together:
         pieces = [rows[-(rows[0] + settle) % EVERY :] for rows in pieces]
-    bands = (band_hz,) * passes
-    filters = bands if sensor_hz is None else (sensor_hz, *bands)
     group = Measured(
         names=tuple(names),
         unit=unit,
-        filters_hz=filters,
+        sensor_hz=sensor_hz,
+        bands_hz=(band_hz,) * passes,
         rows=tuple(pieces),
         settle=settle,
         values=values,
@@ -192,46 +203,53 @@ def measured(
     number = [np.full(len(rows), k, dtype=np.intp) for k, rows in enumerate(retained)]
     return replace(
         group,
-        values=group.filtered(values, bands),
+        values=group.filtered(values),
         t_s=t_s[np.concatenate(retained)],
         piece=np.concatenate(number),
     )
 
 
-class LowPass:
-    """Causal second-order Butterworth low-pass along axis 0, initialised on the first value, for
-    successive blocks of rows."""
-
-    def __init__(self, cutoff_hz: float) -> None:
-        self._cutoff_hz = cutoff_hz
-        self._state: Array | None = None
-
-    def next(self, values: Array) -> Array:
-        """The low-passed rows of the next block."""
-        if self._cutoff_hz >= 0.45 * GRID_HZ:
-            return values
-        b, a, settled = _butterworth(self._cutoff_hz)
-        if self._state is None:
-            self._state = values[:1].T * settled
-        passed, self._state = scipy.signal.lfilter(b, a, values.T, axis=-1, zi=self._state)
-        return np.asarray(passed.T, dtype=np.float64)
-
-
 def low_pass(values: Array, cutoff_hz: float) -> Array:
-    """All rows through a `LowPass`."""
-    return LowPass(cutoff_hz).next(values)
+    """Causal second-order Butterworth low-pass along axis 0, initialised on the first value."""
+    if cutoff_hz >= 0.45 * GRID_HZ:
+        return values
+    return _passed(values, cutoff_hz, prewarped=True)
 
 
-def low_pass_lag(cutoff_hz: float) -> float:
-    """Lag of a `LowPass` for slow signals, s: group delay of a Butterworth filter of second order
-    at 0 Hz."""
-    return math.sqrt(2) / (2 * math.pi * cutoff_hz)
+def sensed(values: Array, cutoff_hz: float | None) -> Array:
+    """What a sensor with a second-order Butterworth low-pass reads of a signal with these values,
+    initialised on the first value.
+
+    The filter of the sensor is analog, or runs at a rate far above that of the grid. The bilinear
+    transform of it, whose cutoff is not prewarped, is as late for slow signals, to second order in
+    frequency; a prewarped one of 60 Hz is 1.2 ms early, as if the clock of the sensor were off.
+
+    Args:
+        values: Values on the grid, shape (n, ...).
+        cutoff_hz: Cutoff; None: there is no low-pass.
+    """
+    return values if cutoff_hz is None else _passed(values, cutoff_hz, prewarped=False)
+
+
+def sensor_lag(cutoff_hz: float | None) -> float:
+    """Time by which `sensed` is late for slow signals, s: group delay at 0 Hz."""
+    return 0.0 if cutoff_hz is None else math.sqrt(2) / (2 * math.pi * cutoff_hz)
+
+
+def _passed(values: Array, cutoff_hz: float, prewarped: bool) -> Array:
+    b, a, settled = _butterworth(cutoff_hz, prewarped)
+    passed, _ = scipy.signal.lfilter(b, a, values.T, axis=-1, zi=values[:1].T * settled)
+    return np.asarray(passed.T, dtype=np.float64)
 
 
 @cache
-def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
+def _butterworth(cutoff_hz: float, prewarped: bool) -> tuple[Array, Array, Array]:
     """Second-order filter on the grid: coefficients, and the steady state for an input of one."""
-    b, a = scipy.signal.butter(2, cutoff_hz / (GRID_HZ / 2))
+    if prewarped:
+        b, a = scipy.signal.butter(2, cutoff_hz / (GRID_HZ / 2))
+    else:
+        analog = scipy.signal.butter(2, 2 * np.pi * cutoff_hz, analog=True)
+        b, a = scipy.signal.bilinear(*analog, fs=GRID_HZ)
     return b, a, scipy.signal.lfilter_zi(b, a)
 
 
@@ -562,7 +580,7 @@ def imu_channels(
         if age_s := late.get(sensor.signal, 0.0):
             predicted = shifted(predicted, age_s)
         whole = [readings.unfiltered(v) for v in (t_s, raw)] + [readings.sensed(predicted)]
-        simulated = readings.filtered(predicted, readings.filters_hz)
+        simulated = readings.predicted(predicted)
         phases = [
             phase_of_row[np.searchsorted(t_s, t - 0.5 / GRID_HZ)] for t in (whole[0], readings.t_s)
         ]

@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import shift
+from scipy.signal import butter, cont2discrete, lfilter
 
 from twin.errors import ModelError
 from twin.logs import Flight
 from twin.physics.airframe import airframe
-from twin.residuals.channels import GRID_HZ, shifted
+from twin.residuals.channels import BAND_HZ, GRID_HZ, sensed, sensor_lag, shifted
 from twin.residuals.gap import Channel, FlightGap, pool, rank, slow_part, spectrum, summarise
 from twin.residuals.teacher_forced import InputSignals
 from twin.vehicle_file import load_vehicle
@@ -211,3 +212,24 @@ def test_a_shift_bridges_what_is_unknown_and_leaves_what_nobody_knows() -> None:
     moved = shifted(values, 2.5 / GRID_HZ)
     assert moved[20:80, 0] == pytest.approx(np.arange(20, 80) - 2.5)
     assert np.all(np.isnan(moved[:, 1]))
+
+
+@pytest.mark.parametrize("cutoff_hz", [8.0, 30.0, 60.0, 94.0, 188.0])
+def test_a_sensor_lags_as_its_analog_low_pass_does(cutoff_hz: float) -> None:
+    """Against the analog filter in steps of 0.05 ms, by a signal of all frequencies below half the
+    band of the channels, and by a ramp."""
+    fine, seconds = 100, 10
+    n = round(GRID_HZ) * fine * seconds
+    hz = np.fft.rfftfreq(n, 1 / (GRID_HZ * fine))
+    rng = np.random.default_rng(0)
+    waves = np.where((hz > 0) & (hz < BAND_HZ / 2), 1.0, 0.0) * np.exp(
+        2j * np.pi * rng.random(len(hz))
+    )
+    signal = np.fft.irfft(waves, n)
+    analog = butter(2, 2 * np.pi * cutoff_hz, analog=True)
+    numerator, denominator, _ = cont2discrete(analog, 1 / (GRID_HZ * fine), method="foh")
+    read = lfilter(numerator[0], denominator, signal)[::fine]
+    off = (sensed(signal[::fine], cutoff_hz) - read)[round(GRID_HZ) :]  # the filters have settled
+    assert np.std(off) < 0.005 * np.std(read)
+    ramp = np.arange(400.0)[:, None] / GRID_HZ
+    np.testing.assert_allclose((ramp - sensed(ramp, cutoff_hz))[-1], sensor_lag(cutoff_hz))

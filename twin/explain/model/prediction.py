@@ -39,10 +39,10 @@ from ...residuals.channels import (
     Array,
     GridSpline,
     gyro_rate,
-    low_pass,
-    low_pass_lag,
     on_grid,
     prompt_imu,
+    sensed,
+    sensor_lag,
     shifted,
 )
 from ...residuals.measured import Signal
@@ -543,8 +543,7 @@ class Trajectory:
         if self._flight.has(*ACC):
             cutoff = vehicle.accel_cutoff_hz
             shown = shifted(reading, lag) if lag else reading
-            if cutoff is not None:
-                shown, lag = low_pass(np.nan_to_num(shown), cutoff), lag + low_pass_lag(cutoff)
+            shown, lag = sensed(np.nan_to_num(shown), cutoff), lag + sensor_lag(cutoff)
             excess = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - shown
         assert aligned.motion.attitude is not None
         q = list(aligned.motion.attitude.at(aligned.inputs.t_s).T)
