@@ -200,6 +200,29 @@ def test_slopes_include_what_the_observer_makes_of_a_number() -> None:
             assert miss < 0.02 * np.abs(change).max(), (number, channel)
 
 
+def test_slopes_cancel_where_all_that_is_heavy_grows_alike() -> None:
+    """Newton: mass, load and thrust larger by a hundredth change no acceleration. Each
+    alone moves the load that is followed far, the further the slacker its rope."""
+    vehicle = load_vehicle("copter_default")
+    truth = {"mass_kg": 0.1 * vehicle.mass_kg, "length_m": 0.7}
+    legs: Waypoints = (*SHORT[:2], *(("forward", 2.0, (x, 0.0, -2.0)) for x in (3.0, 0.0, 3.0)))
+    flight = fly(vehicle, vehicle.with_effects({"slung_load": truth}), 1, waypoints=legs)
+    problem = against(flight, vehicle, "slung_load", "mass_offset", "thrust_scale")
+    heavy = {
+        "mass_offset.mass_kg": (1e-9, vehicle.mass_kg),
+        "slung_load.mass_kg": (truth["mass_kg"], truth["mass_kg"]),
+        "thrust_scale.scale": (1 + 1e-9, 1.0),
+    }
+    at = {name: value for name, (value, _) in heavy.items()} | {"slung_load.length_m": 0.7}
+    b, x = problem.priors, np.zeros(len(problem.priors.now) + problem.rest.days.size)
+    for name, value in at.items():
+        x[b.names.index(name)] = value - b.now[b.names.index(name)]
+    found = problem.channels(x, [b.names.index(name) for name in heavy])[0]
+    for channel in (c for c in found if c.name in ("acc_x", "acc_y", "acc_z")):
+        each = channel.slopes * [size for _, size in heavy.values()]
+        assert np.std(each.sum(axis=1)) < 0.003 * np.std(each[:, 0]), channel.name
+
+
 def test_the_tension_is_that_of_the_aircraft_as_heavy_as_it_is() -> None:
     vehicle = load_vehicle("copter_default")
     flight = fly(vehicle, vehicle, 1, waypoints=SHORT)
