@@ -67,6 +67,7 @@ class ChannelData(ShortRepr):
         residual: Measured minus predicted, shape (n,).
         slopes: Derivative of the prediction by each number, shape (n, k).
         piece: Number of the uninterrupted piece of flight of each sample, shape (n,).
+        nyquist_hz: Half the sample rate of its slowest log, Hz; above it are images of samples.
     """
 
     name: str
@@ -76,6 +77,7 @@ class ChannelData(ShortRepr):
     residual: Array
     slopes: Array
     piece: NDArray[np.intp]
+    nyquist_hz: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +94,7 @@ class Measured(ShortRepr):
         values: Readings at the retained rows of all pieces, shape (n, c).
         t_s: Times of these rows, shape (n,).
         piece: Number of the piece of each row, shape (n,).
+        nyquist_hz: As of `ChannelData`.
     """
 
     names: tuple[str, ...]
@@ -103,6 +106,7 @@ class Measured(ShortRepr):
     values: Array
     t_s: Array
     piece: NDArray[np.intp]
+    nyquist_hz: float
 
     def filtered(self, values: Array) -> Array:
         """Retained rows of readings on the grid, low-passed piece by piece."""
@@ -149,7 +153,8 @@ class Measured(ShortRepr):
             both = self.predicted(both)
             own, answer = self.values[:, i], np.zeros((len(both), slopes.shape[2]))
             residual, answer[:, some] = own - both[:, 0], both[:, 1:]
-            found.append(ChannelData(name, self.unit, self.t_s, own, residual, answer, self.piece))
+            about = self.t_s, own, residual, answer, self.piece, self.nyquist_hz
+            found.append(ChannelData(name, self.unit, *about))
         return found
 
 
@@ -164,6 +169,7 @@ def measured(
     known: NDArray[np.bool_],
     band_hz: float,
     sensor_hz: float | None,
+    nyquist_hz: float,
     together: bool = False,
     passes: int = 1,
 ) -> Measured | None:
@@ -178,6 +184,7 @@ def measured(
         band_hz: Low-pass of readings and prediction.
         sensor_hz: Low-pass that was applied to the readings before logging, but not to a
             prediction.
+        nyquist_hz: As of `ChannelData`.
         together: Whether the retained rows are a subset of those of every other sensor with these
             filters, wherever both are known.
         passes: Number of passes of that low-pass over readings and prediction.
@@ -198,6 +205,7 @@ def measured(
         values=values,
         t_s=t_s,
         piece=np.zeros(0, dtype=np.intp),
+        nyquist_hz=nyquist_hz,
     )
     retained = [rows[settle::EVERY] for rows in pieces]
     number = [np.full(len(rows), k, dtype=np.intp) for k, rows in enumerate(retained)]
@@ -471,14 +479,16 @@ def _readings(
     axes: slice = slice(0, 3),
 ) -> Measured | None:
     """Filtered readings, as described in `imu_readings`."""
+    rate_hz = signal_of(flight, sensor.columns).rate_hz
     return measured(
         sensor.channels[axes],
         sensor.channel_unit,
         t_s,
         raw[:, axes],
         known,
-        min(BAND_HZ, 0.35 * signal_of(flight, sensor.columns).rate_hz),
+        min(BAND_HZ, 0.35 * rate_hz),
         sensor.cutoff_hz(vehicle),
+        rate_hz / 2,
         together,
     )
 

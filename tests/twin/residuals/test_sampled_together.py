@@ -15,7 +15,7 @@ def test_sensors_that_go_together_keep_the_same_instants(later: int, band_hz: fl
     kept = []
     for begins, band in ((100, 18.0), (100 + later, band_hz)):
         known = np.arange(n) >= begins
-        found = measured(("x",), "1", t_s, values, known, band, None, together=True)
+        found = measured(("x",), "1", t_s, values, known, band, None, 50.0, together=True)
         assert found is not None and len(found.t_s) == len(found.values) == len(found.piece)
         kept.append(found.t_s)
     assert len(np.intersect1d(kept[0], kept[1])) == min(map(len, kept))

@@ -131,8 +131,7 @@ class Spectrum(ShortRepr):
         for c, own in enumerate(self.rows):
             for b in range(len(BANDS_HZ)):
                 inside = [r.residual[r.band == b] for r in own]
-                n = sum(map(len, inside))
-                if n:
+                if n := sum(map(len, inside)):
                     found[c, b] = sum(float(v @ v) for v in inside), n
         return found
 
@@ -153,8 +152,9 @@ def _with_slopes(rows: Rows, width: int, columns: NDArray[np.intp], slopes: Arra
 
 
 def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Transformed values of all long enough pieces of a channel, shape (n, m), and their bands; for
-    channels implied by a pose, up to `OF_POSE_HZ`."""
+    """Transformed values of all long enough pieces of a channel, shape (n, m), and their bands, up
+    to the Nyquist frequency of its logs; for channels implied by a pose, up to `OF_POSE_HZ`."""
+    most_hz = min(channel.nyquist_hz, OF_POSE_HZ if channel.name.startswith(OF_POSE) else np.inf)
     out, bands = [], []
     ends = [0, *(np.flatnonzero(np.diff(channel.piece)) + 1).tolist(), len(channel.piece)]
     pieces = [slice(a, b) for a, b in pairwise(ends) if b - a >= SHORTEST]
@@ -162,7 +162,7 @@ def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.
     for p in pieces:
         part = values[p]
         some = np.any(part != 0, axis=0)
-        band = _bands(len(part), channel.name.startswith(OF_POSE))
+        band = _bands(len(part), most_hz)
         y = np.zeros((len(band), part.shape[1]))
         y[:, some] = dct(part[:, some], axis=0, norm="ortho")[: len(band)]
         y[0] /= np.sqrt(total)  # sqrt(n) for the mean, sqrt(n / total) for its share of the flight
@@ -174,12 +174,12 @@ def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.
 
 
 @lru_cache(maxsize=64)
-def _bands(n: int, of_pose: bool) -> NDArray[np.intp]:
+def _bands(n: int, most_hz: float) -> NDArray[np.intp]:
     """Band of each frequency of a piece of n samples that is used."""
     hz = np.arange(n) * CHANNEL_HZ / 2 / n
     band = np.searchsorted(BANDS_HZ, hz, side="right")
     band[0] = 0
-    return band[hz < (OF_POSE_HZ if of_pose else np.inf)]
+    return band[hz < most_hz]
 
 
 def force_shares(

@@ -263,7 +263,8 @@ def other_factors(context: FlightContext) -> list[SensorFactor]:
         known = context.aligned.airborne & np.all(np.isfinite(rows), axis=1)
         band = min(POSE_BAND_HZ, 0.35 * signal.rate_hz)
         cutoff = kind.cutoff_hz(context.vehicle)
-        readings = measured(kind.channels, kind.unit, t, signal.at(t), known, band, cutoff)
+        half, names = signal.rate_hz / 2, kind.channels
+        readings = measured(names, kind.unit, t, signal.at(t), known, band, cutoff, half)
         if readings is None:
             continue
         pose_inputs = [s for s, values in pose.items() if values.keys() & set(sensor.input_names)]
@@ -326,8 +327,8 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
     batch = SensorBatch(sensor, context.effects, context.numbers)
     implied = named("omega", turning_at(motion.attitude, t))
     read = named("omega", gyro)
-    band = min(POSE_BAND_HZ, 0.2 * motion.attitude.rate_hz)
-    groups: list[tuple[Sensor, Array, slice, Sampled]] = []
+    rate_hz = motion.attitude.rate_hz
+    groups: list[tuple[Sensor, Array, slice, Sampled, float]] = []
     q_nb, pull = smooth_at(motion.attitude, t), None
     if flight.has(*accelerometer.columns):
         pull, shown = pull_of_pose(context), pull_signal(context)
@@ -337,8 +338,10 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
         alpha = named("angular_acceleration", np.gradient(gyro, t, axis=0))
         implied |= alpha | named("specific_force", in_body(q_nb, pull))
         read |= alpha | named("specific_force", force)
-        groups.append((accelerometer, acc, slice(0, 3), at_samples))
-    groups.append((gyroscope, gyro, slice(3, 6), partial(_turned_at_samples, t, motion.attitude)))
+        slower_hz = min(rate_hz, _rate_of_velocity(flight))
+        groups.append((accelerometer, acc, slice(0, 3), at_samples, slower_hz))
+    turned_at = partial(_turned_at_samples, t, motion.attitude)
+    groups.append((gyroscope, gyro, slice(3, 6), turned_at, rate_hz))
 
     turned, pulls = GridSpline(q_nb), None if pull is None else GridSpline(pull)
 
@@ -357,12 +360,12 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
     moved = batch.value(now, at) - batch.value(now, still)
     there = np.where(np.all(np.isfinite(at), axis=1)[:, None, None], np.ones((1, 3, 1)), np.nan)
     found = []
-    for kind, values, outputs, sampled in groups:
-        names, cutoff = tuple(f"pose_{c}" for c in kind.columns), kind.cutoff_hz(v)
+    for kind, values, outputs, sampled, rate_hz in groups:
+        bands = min(POSE_BAND_HZ, SHARE_OF_RATE * rate_hz), kind.cutoff_hz(v), rate_hz / 2
+        names = tuple(f"pose_{c}" for c in kind.columns)
         taken = sampled(values[:, :, None])[:, :, 0]
-        reached = np.all(np.isfinite(sampled(there)), axis=(1, 2))  # at any changed numbers, too
-        there_too = known & reached
-        readings = measured(names, kind.unit, t, taken, there_too, band, cutoff, passes=POSE_PASSES)
+        known_too = known & np.all(np.isfinite(sampled(there)), axis=(1, 2))  # at any numbers
+        readings = measured(names, kind.unit, t, taken, known_too, *bands, passes=POSE_PASSES)
         if readings is None:
             continue
         reach = reaching(kind.component) | moving(context, (*PLACE, *TURN, kind.signal))
@@ -416,22 +419,21 @@ def motion_factors(context: FlightContext, missing: Collection[str]) -> list[Sen
         return []
     t, found = context.aligned.inputs.t_s, []
     q_nb = attitude.at(t)
-    band = min(POSE_BAND_HZ, SHARE_OF_RATE * attitude.rate_hz)
     reach = reaching("airframe") | moving(context, (*PLACE, *TURN, *DRIVES))
     pull = pull_of_pose(context) if ACCELEROMETER in missing else None
     if pull is not None:
-        narrow = min(band, SHARE_OF_RATE * _rate_of_velocity(context.flight))
+        slower_hz = min(attitude.rate_hz, _rate_of_velocity(context.flight))
         turned = reach | {n.effect for n in context.numbers if n.turns_pose}
         shown = partial(_force_as_logged, q_nb, context.numbers)
         force = in_body(q_nb, pull)
         for part in pose_axes(context, False):
-            readings = _readings(context, FORCE, "m/s²", force, narrow, part)
+            readings = _readings(context, FORCE, "m/s²", force, slower_hz, part)
             found.append((readings, slice(0, 3), turned, False, shown, part.axes))
     if GYROSCOPE in missing:
         turning = rate_over_step(on_grid(rates_of(attitude), t))
         shown = partial(_torque_as_logged, context.numbers)
         for part in pose_axes(context, True):
-            readings = _readings(context, TORQUE, "rad/s²", turning, band, part)
+            readings = _readings(context, TORQUE, "rad/s²", turning, attitude.rate_hz, part)
             found.append((readings, slice(3, 6), reach, True, shown, part.axes))
     nothing = np.zeros((0, 0))
     return [
@@ -458,14 +460,14 @@ def _readings(
     names: Sequence[str],
     unit: str,
     values: Array,
-    band_hz: float,
+    rate_hz: float,
     part: PoseAxis,
 ) -> Measured | None:
     known = context.aligned.airborne & np.all(np.isfinite(context.aligned.states), axis=1)
     known = known if part.left_out is None else known & ~part.left_out
-    band_hz = min(band_hz, DERIVED_BAND_HZ) if part.slow else band_hz
+    band_hz = min(DERIVED_BAND_HZ if part.slow else POSE_BAND_HZ, SHARE_OF_RATE * rate_hz)
     t_s, axes = context.aligned.inputs.t_s, part.axes
-    return measured(names[axes], unit, t_s, values[:, axes], known, band_hz, None)
+    return measured(names[axes], unit, t_s, values[:, axes], known, band_hz, None, rate_hz / 2)
 
 
 def _force_as_logged(q_nb: Array, numbers: Sequence[Number], force_b: Array, theta: Array) -> Array:
