@@ -48,8 +48,6 @@ OF_AIR = frozenset(
 )
 """Effects of an undamaged aircraft by which a wind may change thrust and moments: those that depend
 on velocity."""
-
-
 STRONG = 2.0
 """Number of standard deviations between the days of the calibration from which on a wind is
 stronger than usual."""

@@ -87,10 +87,9 @@ class BandNoise(ShortRepr):
             n = sum(count for _, count in moving)
             mean = sum(p for p, _ in moving) / max(n, 1)
             own[c] = 1 / (1 + n / (settings.samples * flights))
-            for b in range(len(BANDS_HZ)):
-                if b == 0:
-                    floor[c, b] = constant**2
-                elif (c, b) in power:
+            floor[c, 0] = constant**2
+            for b in range(1, len(BANDS_HZ)):
+                if (c, b) in power:
                     p, count = power[c, b]
                     floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + least[b]
         return cls(floor, own, rounding, settings.level)

@@ -256,20 +256,21 @@ class Physics:
             flow = sensor.derivatives(self._states.filled(place, z), sensed, p)[self._states.index]
             rate += ca.jtimes(shown[3:], z, flow)
         readings = ca.vertcat(shown[:3], rate)
-        turning = ca.SX.sym("turning", 3)
-        measured = ca.SX(imu_inputs)
-        for k, a in enumerate("xyz"):
-            measured[sensor.input_names.index(f"angular_acceleration_{a}")] = turning[k]
-        sensed_force = ca.substitute(shown[:3], sensed, measured)
-        turned = ca.substitute(rate, sensed, imu_inputs)
-        self._as_measured = [x, u, turning], theta, ca.vertcat(sensed_force, turned)
-        rows = [x, u, z] if self._states.index else [x, u]
-        readings = ca.substitute(readings, sensed, imu_inputs)
-        self._batch = Batch(rows, theta, readings, numbers)
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
-        self._moved = [x, u], theta, ca.vertcat(*[outputs[n] for n in moved])
-        per_newton = ca.jacobian(outputs[moved[0]], u[body.input_names.index("force_x")])
-        self._driving_rows = rows, theta, ca.vertcat(readings[:3], self._moved[2][:3], per_newton)
+        bare, turning = ca.vertcat(*[outputs[n] for n in moved]), ca.SX.sym("turning", 3)
+        self._moved = [x, u], theta, bare
+        moments = u[[body.input_names.index(f"moment_{a}") for a in "xyz"]]
+        by_moment = ca.jacobian(bare, moments)
+        force = bare[:3] + by_moment[:3, :] @ ca.inv(by_moment[3:, :]) @ (turning - bare[3:])
+        felt = outputs | dict(zip(moved, ca.vertsplit(ca.vertcat(force, turning)), strict=True))
+        measured = ca.vertcat(*[felt[n] for n in sensor.input_names])
+        sensed_force = ca.substitute(shown[:3], sensed, measured)
+        readings = ca.substitute(readings, sensed, imu_inputs)
+        self._as_measured = [x, u, turning], theta, ca.vertcat(sensed_force, readings[3:])
+        rows = [x, u, z] if self._states.index else [x, u]
+        self._batch = Batch(rows, theta, readings, numbers)
+        per_newton = ca.jacobian(bare[0], u[body.input_names.index("force_x")])
+        self._driving_rows = rows, theta, ca.vertcat(readings[:3], bare[:3], per_newton)
 
     @cached_property
     def _driving(self) -> Batch:
@@ -299,7 +300,7 @@ class Physics:
         states in the IMU.
 
         Away from the centre of mass an accelerometer measures angular acceleration: a predicted
-        one would bias the inertia in closed loop.
+        one would bias inertia and centre of mass in closed loop, and hide a wind.
         """
         return None if self._states.index else Batch(*self._as_measured, self._numbers)
 

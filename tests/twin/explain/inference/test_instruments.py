@@ -401,20 +401,22 @@ def test_no_scale_changes_a_constant() -> None:
 
 @pytest.mark.slow
 def test_an_accelerometer_beside_the_centre_of_mass_tells_nothing_of_inertia() -> None:
-    """It feels the turning that the gyroscope shows, not the one that the model predicts."""
+    """It feels the turning that the gyroscope shows, not the one that the model predicts; a centre
+    of mass that is off is the same as an accelerometer that is off the other way."""
     vehicle = replace(load_vehicle("copter_default"), imu_position_m=np.array([0.1, -0.05, 0.1]))
     flown = fly(vehicle, vehicle, 3)
-    effects = [EFFECTS[e] for e in ("inertia_error", "motor_lag", "imu_lever_arm")]
+    effects = [EFFECTS[e] for e in ("inertia_error", "imu_lever_arm", "cog_offset")]
     model = model_of([flown], vehicle, effects)
     names = [n.full for n in model.numbers]
-    for c in model.channels(range(len(names)))[0]:
-        scale, arm = (c.slopes[:, names.index(n)] for n in NUMBERS_OF_TURNING)
+    for c in model.channels(range(len(names)), {NUMBERS_OF_TURNING[2]: 0.05})[0]:
+        scale, arm, centre = (c.slopes[:, names.index(n)] for n in NUMBERS_OF_TURNING)
         if c.name in ("acc_x", "acc_y"):
             assert not scale.any()
+            assert centre == pytest.approx(-arm, abs=1e-9)
             assert np.std(arm) > 0.1
-            assert np.std(c.residual) < 0.2
+            assert np.std(c.residual + 0.05 * centre) < 0.2
         if c.name == "gyro_rate_x":
             assert scale.any()
 
 
-NUMBERS_OF_TURNING = "inertia_error.scale_x", "imu_lever_arm.z_m"
+NUMBERS_OF_TURNING = "inertia_error.scale_x", "imu_lever_arm.z_m", "cog_offset.z_m"
