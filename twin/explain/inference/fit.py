@@ -101,6 +101,7 @@ class Problem(ShortRepr):
         bounds: Bounds of the numbers, as changes.
         noise: Noise model.
         rest: Spectrum of the nominal model's residuals, with slopes by every number.
+        gained: Log likelihood gained by following mere noise, nats, of each cause; in its odds.
         kappas: Allowed factors on day-to-day variation; for one flight it is not observable.
     """
 
@@ -109,6 +110,7 @@ class Problem(ShortRepr):
     bounds: Bounds
     noise: InstrumentNoise
     rest: Spectrum
+    gained: Mapping[str, float]
     kappas: tuple[float, ...] = (1.0,)
 
     @classmethod
@@ -132,12 +134,10 @@ class Problem(ShortRepr):
         bands = BandNoise.of(rest, sizes, settings)
         logs = [f.flight for f in model.flights]
         noise = InstrumentNoise.of(logs, flights, bands, settings.rough)
-        odds = {
-            c: v - gained_by_following(c, rest, bands, model.vehicle)
-            for c, v in priors.odds.items()
-        }
+        gained = {c: gained_by_following(c, flights, bands, model.vehicle) for c in priors.cause}
+        odds = {c: v - gained[c] for c, v in priors.odds.items()}
         kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
-        return cls(model, replace(priors, odds=odds), bounds, noise, rest, kappas)
+        return cls(model, replace(priors, odds=odds), bounds, noise, rest, gained, kappas)
 
     def laplace(self, spectrum: Spectrum) -> LaplaceEvidence:
         """Linearisation of all candidate models at these residuals."""
@@ -428,24 +428,25 @@ def _deviation(usual: float, shown: Array) -> float:
     return float(np.sqrt((BEFORE * usual**2 + shown.sum()) / (BEFORE + len(shown))))
 
 
-def gained_by_following(cause: str, rest: Spectrum, noise: BandNoise, vehicle: Vehicle) -> float:
+def gained_by_following(cause: str, flights: Flights, noise: BandNoise, vehicle: Vehicle) -> float:
     """Log likelihood gained by an observer that follows mere noise, nats.
 
     The observer predicts a reading from its past. The innovation is S(f) times the reading, so its
     density is multiplied by |S|, frequency by frequency. ln |S| integrated over all angular
     frequencies gives -pi/2 times the gain: Bode's integral of a loop with relative degree one. On a
     grid the same is lost again, uniformly up to the Nyquist frequency (the discrete integral is
-    zero), and the channels contain part of it.
+    zero), and the channels contain the part of it up to that of their logs.
     """
     observer = EFFECTS[effect_of(cause)].observer
     if observer is None:
         return 0.0
     gained = 0.0
-    for c, name in enumerate(rest.channels):
-        if name in observer.channels:
-            n = sum(int(np.count_nonzero(r.band)) for r in rest.rows[c])
-            gained += noise.own[c] * n / CHANNEL_HZ
-    return 0.5 * observer.gain_1_s(vehicle) * gained * (1 - CHANNEL_HZ / GRID_HZ)
+    for own in flights:
+        for c, channel in enumerate(own):
+            if channel.name in observer.channels:
+                part = 2 * min(channel.nyquist_hz, CHANNEL_HZ / 2) / GRID_HZ
+                gained += noise.own[c] * len(channel.t_s) / CHANNEL_HZ * (1 - part)
+    return 0.5 * observer.gain_1_s(vehicle) * gained
 
 
 def _farthest(number: Number) -> float:

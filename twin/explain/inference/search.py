@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...effects import EFFECTS, prior_of
 from ...effects.parameters import LAST, UNMEASURED
 from .evidence import LaplaceEvidence
-from .fit import Problem, State, gained_by_following
+from .fit import Problem, State
 from .posterior import (
     SearchResult,
     Tried,
@@ -377,8 +377,7 @@ def _followed(
             continue
         on = tuple(sorted({*state.effects, c}))
         promised = laplace.best(on, state.kappa).evidence - state.evidence
-        noise = gained_by_following(c, problem.rest, problem.noise.bands, problem.model.vehicle)
-        if c not in state.effects and promised + noise <= least:
+        if c not in state.effects and promised + problem.gained[c] <= least:
             continue
         apart = tuple(e for e in on if e == c or not laplace.share_a_channel(e, c))
         for trial in dict.fromkeys((on, apart) if c in state.effects else (on,)):

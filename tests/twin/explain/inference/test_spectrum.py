@@ -2,12 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from twin.explain.inference.fit import gained_by_following
+from twin.explain.inference.noise import BandNoise
 from twin.explain.inference.spectrum import BANDS_HZ, SHORTEST, Spectrum, force_shares
 from twin.explain.model.factors import POSE_PASSES
 from twin.residuals.channels import (
@@ -18,6 +22,7 @@ from twin.residuals.channels import (
     low_pass,
     shifted,
 )
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 
@@ -156,3 +161,14 @@ def test_what_a_log_does_not_sample_does_not_count() -> None:
     waves = np.cos(np.pi * np.outer([60, 99, 101, 240], rows + 0.5) / 500).sum(axis=0)
     counted = moving(of(replace(channel(waves), nyquist_hz=5.0)))
     assert counted == pytest.approx(2 * 500 / 2)  # 3 and 4.95 Hz, not 5.05 and 12 Hz
+
+
+def test_following_noise_gains_as_much_in_a_slow_log() -> None:
+    fast = channel(np.zeros(1000))
+    noise = cast(BandNoise, SimpleNamespace(own=np.ones(1)))
+    each = [
+        gained_by_following("slung_load", [[c]], noise, load_vehicle("copter_default"))
+        for c in (fast, replace(fast, nyquist_hz=12.5), replace(fast, nyquist_hz=5.0))
+    ]
+    assert each == pytest.approx([each[0], each[0] * 0.875 / 0.75, each[0] * 0.95 / 0.75])
+    assert each[0] > 10
