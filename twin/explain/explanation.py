@@ -333,13 +333,9 @@ def hovers_of(flights: Sequence[AnyFlight], vehicle: Vehicle) -> tuple[HoverDiag
 
 def _not_observable(naming: Naming) -> list[str]:
     """Warning that some effects are not part of the model with this drive; empty where all are."""
-    unobservable = naming.problem.model.unobservable
-    if not unobservable:
-        return []
-    return [
-        f"not visible where measured rotor speeds drive the model, which leave no command to look "
-        f"at: {', '.join(unobservable)}"
-    ]
+    hidden = ", ".join(naming.problem.model.unobservable)
+    why = "where measured rotor speeds drive the model, which leave no command to look at"
+    return [f"not visible {why}: {hidden}"] if hidden else []
 
 
 def _drifting(naming: Naming) -> list[str]:
@@ -459,7 +455,7 @@ def _with_balance(found: Explanation, naming: Naming, wind: Wind | None) -> Expl
         doubt = uncertain(model, trim.channels, others) + calm * normal.disturbed
         normal = replace(normal, disturbed=doubt)
     balance = balance_of(trim, normal, naming.settings.sure)
-    if all(n.partition(".")[0] in WIND for n in others):
+    if balance.probability_of(LOAD) >= 0.5 and all(n.partition(".")[0] in WIND for n in others):
         balance = replace(balance, hanging=hanging_of(naming, balance.best(LOAD)))
     if (named := balance.named) is None:
         return replace(found, balance=balance)

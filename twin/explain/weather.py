@@ -17,11 +17,11 @@ effects given that they are present, for rare ones weighted by their odds.
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logit
+from scipy.special import expit
 from scipy.stats import norm
 
 from ..effects import EFFECTS, prior_of
@@ -48,6 +48,9 @@ OF_AIR = frozenset(
 )
 """Effects of an undamaged aircraft by which a wind may change thrust and moments: those that depend
 on velocity."""
+ROPES = np.geomspace(0.2, 3.0, 16)
+"""Initial lengths of a rope over the expected one: the likelihood has several maxima, as the load
+leaves the ground at one height."""
 STRONG = 2.0
 """Number of standard deviations between the days of the calibration from which on a wind is
 stronger than usual."""
@@ -112,33 +115,36 @@ def acting_of(shown: Fit, named: Collection[str]) -> dict[str, tuple[float, floa
 
 
 def hanging_of(naming: Naming, load: Hypothesis) -> Hypothesis:
-    """The balance's load as a slung load, with its probability given a load: according to the
-    evidence for its swing, where these flights contain any."""
+    """The balance's load as a slung load, with its probability given a load: by the evidence for a
+    load of this mass on a rope over a fixed one, where these flights contain any."""
     (effect,) = ACTING - WIND
-    change, posterior, b = EFFECTS[effect].change, naming.posterior, naming.problem.priors
-    assert change is not None
-    log_odds = ROPE
-    if effect in naming.inclusion:
-        log_odds += float(logit(np.clip(naming.inclusion[effect], 1e-9, 1 - 1e-9))) - change.odds
-    own = {p.name for p in EFFECTS[effect].parameters}
-    names = {n: n.partition(".")[2] for n in load.values}
-    held = {
-        f"{effect}.{name}": (load.values[n], load.deviations[n])
-        for n, name in names.items()
-        if name in own
-    }
-    for i in np.flatnonzero(b.shape & (np.array(b.cause) == effect)):
-        row = np.zeros(len(b.names))
-        row[i] = 1.0
-        there, moved, sd = posterior.total(row, [effect])
-        held |= {b.names[i]: (moved, sd)} if there > 0 else {}
-    return Hypothesis(
-        effect,
-        (),
-        float(expit(log_odds)),
-        {n: v for n, (v, _) in held.items()},
-        {n: sd for n, (_, sd) in held.items()},
-    )
+    own = {f"{effect}.{p.name}" for p in EFFECTS[effect].parameters}
+    names = {new: n for n in load.values if (new := f"{effect}.{n.partition('.')[2]}") in own}
+    held = {new: (load.values[n], load.deviations[n]) for new, n in names.items()}
+    problem, b, log_odds = naming.problem, naming.problem.priors, ROPE
+    at = {n: i for i, n in enumerate(b.names)}
+    if {*held, *load.values} <= {*at}:
+        first, mean, slab = naming.posterior.sets[0], b.mean.copy(), b.slab.copy()
+        for new, n in names.items():
+            mean[[at[n], at[new]]], slab[[at[n], at[new]]] = held[new]
+        odds = {**b.odds, load.cause: 0.0, effect: -problem.gained[effect]}
+        problem = replace(problem, priors=replace(b, mean=mean, slab=slab, odds=odds))
+        columns, rest, kappa = b.of([effect]), {*first.effects} - {effect}, first.best.kappa
+        starts = np.tile(first.best.x, (len(ROPES), 1))
+        lengths = np.where(b.shape[columns], ROPES[:, None], 1.0)
+        starts[:, columns] = lengths * mean[columns] - b.now[columns]
+
+        def evidence(x: Array) -> float:
+            there = problem.rest.moved(problem.channels(x), *problem.split(x))
+            return problem.laplace(there).at(sorted({*rest, effect}), kappa, x)
+
+        hung = problem.settle([*rest, effect], kappa, problem.rest, max(starts, key=evidence))
+        log_odds += hung.evidence - problem.start([*rest, load.cause], kappa).evidence
+        for i in columns[b.shape[columns]]:
+            sd = math.sqrt(hung.best.variance(np.eye(1, len(at), i)[0]))
+            held[b.names[i]] = float(b.now[i] + hung.best.x[i]), sd
+    values, deviations = ({n: pair[k] for n, pair in held.items()} for k in (0, 1))
+    return Hypothesis(effect, (), float(expit(log_odds)), values, deviations)
 
 
 def uncertain(

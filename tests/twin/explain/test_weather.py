@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin.effects import EFFECTS
 from twin.explain import explanation
 from twin.explain.balance import (
+    BALANCED,
     CAUSES,
     ROPE,
     Balance,
@@ -26,7 +27,7 @@ from twin.explain.inference.estimate import fitted_estimates
 from twin.explain.inference.fit import INTERVAL, Fit, Problem
 from twin.explain.inference.posterior import Posterior
 from twin.explain.inference.priors import priors_since
-from twin.explain.inference.selection import Naming
+from twin.explain.inference.selection import Naming, since_problem
 from twin.explain.model.model import Model, model_of
 from twin.explain.stochastic.spectral import StochasticEffect
 from twin.explain.weather import (
@@ -228,27 +229,31 @@ def test_a_strong_wind_is_named_once(
         assert wind.probability == pytest.approx(0.9)
 
 
-def hung(inclusion: float | None) -> Hypothesis:
-    """A load of 1 kg as one on a rope, by what its swing says of that."""
-    none = SimpleNamespace(names=(), shape=np.zeros(0, dtype=np.bool_), cause=())
-    naming = SimpleNamespace(
-        posterior=None,
-        problem=SimpleNamespace(priors=none),
-        inclusion={} if inclusion is None else {"slung_load": inclusion},
-    )
-    names = {"payload_cg.mass_kg": 1.0, "payload_cg.moment_x_kg_m": 0.1}
-    return hanging_of(cast(Naming, naming), Hypothesis("payload_cg", (), 1.0, names, names))
+def hung(effects: tuple[str, ...], plant: Vehicle, kg: float) -> Hypothesis:
+    """A load of a flight, of known mass, as one on a rope."""
+    every = [EFFECTS[e] for e in (*CAUSES, WIND, *effects)]
+    flight = fly(replace(COPTER, mass_kg=PLANT.mass_kg + kg), plant, 5, "load", LEGS)
+    problem = since_problem(model_of([flight], calibrated(), every), apart=CAUSES, silent=BALANCED)
+    first = SimpleNamespace(effects=(), best=problem.start((), 1.0).best)
+    naming = SimpleNamespace(problem=problem, posterior=SimpleNamespace(sets=[first]))
+    places = {f"payload_cg.moment_{a}_kg_m": 0.0 for a in "xyz"}
+    values, widths = ({"payload_cg.mass_kg": m, **places} for m in (kg, 0.1 * kg))
+    return hanging_of(cast(Naming, naming), Hypothesis("payload_cg", (), 1.0, values, widths))
 
 
+@pytest.mark.slow
 def test_a_load_hangs_as_far_as_its_swing_says_so() -> None:
-    change = EFFECTS["slung_load"].change
-    assert change is not None
-    blind = hung(None)
+    kg, rope_m = 0.25 * PLANT.mass_kg, 0.9
+    rope = {"slung_load": {"mass_kg": kg, "length_m": rope_m}}
+    swings = PLANT.with_effects({**PLANT.effects, **rope})
+    fixed = replace(PLANT, mass_kg=PLANT.mass_kg + kg)
+    blind = hung((), swings, kg)
     assert blind.probability == pytest.approx(1 / (1 + np.exp(-ROPE)))
-    assert blind.values == {"slung_load.mass_kg": 1.0}
-    assert hung(1 / (1 + np.exp(-change.odds))).probability == pytest.approx(blind.probability)
-    assert hung(1e-5).probability < 0.01
-    assert hung(0.7).probability > 0.95
+    assert blind.values == {"slung_load.mass_kg": kg}
+    found = hung(("slung_load",), swings, kg)
+    assert found.probability > 0.95
+    assert found.values["slung_load.length_m"] == pytest.approx(rope_m, rel=0.2)
+    assert hung(("slung_load",), fixed, kg).probability < 0.05
 
 
 def test_a_number_that_a_calibration_does_not_move_is_told_by_its_prior() -> None:

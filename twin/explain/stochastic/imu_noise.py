@@ -187,12 +187,9 @@ def _named_vibration(
         passed = 1.0 if cutoff is None else 1 / np.sqrt(1 + (frequency_hz / cutoff) ** 4)
         plane = power[:, :2].mean(axis=1)  # (pieces,)
         sizes = np.sqrt(2 * np.maximum(plane, 0.0) / lift) / passed
-        values[name] = float(np.mean(sizes))
-        spread = INTERVAL * max(float(np.std(sizes)), 0.1 * float(np.mean(sizes)))
-        intervals[name] = (
-            max(0.0, float(np.mean(sizes)) - spread),
-            float(np.mean(sizes)) + spread,
-        )
+        values[name] = size = float(np.mean(sizes))
+        spread = INTERVAL * max(float(np.std(sizes)), 0.1 * size)
+        intervals[name] = (max(0.0, size - spread), size + spread)
         mean = power.mean(axis=0)
         large = np.sqrt(np.maximum(mean, 0.0)) > smallest[sensor.sensor.signal]
         large &= share > own.line_share
