@@ -97,8 +97,9 @@ def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:
     skip = len(inverse) - 1
     ends = np.flatnonzero(np.diff(channel.piece, append=-1)) + 1
     for first, end in zip([0, *ends[:-1]], ends, strict=True):
+        filled = min(first + skip, end)  # a piece may be shorter than the filter
         for j, a in enumerate(inverse):
-            out[first + skip : end] += a * values[first + skip - j : end - j]
+            out[filled:end] += a * values[filled - j : end - j]
     return out
 
 

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from twin.explain.inference.fit import gained_by_following
 from twin.explain.inference.noise import BandNoise
 from twin.explain.inference.spectrum import BANDS_HZ, SHORTEST, Spectrum, force_shares
+from twin.explain.inference.whitening import autoregression_of
 from twin.explain.model.factors import POSE_PASSES
 from twin.residuals.channels import (
     CHANNEL_HZ,
@@ -172,3 +173,13 @@ def test_following_noise_gains_as_much_in_a_slow_log() -> None:
     ]
     assert each == pytest.approx([each[0], each[0] * 0.875 / 0.75, each[0] * 0.95 / 0.75])
     assert each[0] > 10
+
+
+def test_a_piece_shorter_than_the_noise_model_has_no_innovation() -> None:
+    noise, order = np.random.default_rng(2).standard_normal(240), 12
+    for pieces in ((5, 235), (120, 5, 115), (235, 5)):
+        whole = channel(noise, None, pieces)
+        (weights,) = autoregression_of([whole], [100.0 * noise], order).weights
+        short = np.flatnonzero(np.bincount(whole.piece) < order)
+        assert (weights[whole.piece == short[0]] == 1.0).all()
+        assert np.isfinite(weights).all()
