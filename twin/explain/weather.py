@@ -138,11 +138,11 @@ def hanging_of(naming: Naming, load: Hypothesis) -> Hypothesis:
             there = problem.rest.moved(problem.channels(x), *problem.split(x))
             return problem.laplace(there).at(sorted({*rest, effect}), kappa, x)
 
-        hung = problem.settle([*rest, effect], kappa, problem.rest, max(starts, key=evidence))
-        log_odds += hung.evidence - problem.start([*rest, load.cause], kappa).evidence
+        on_rope = problem.settle([*rest, effect], kappa, problem.rest, max(starts, key=evidence))
+        log_odds += on_rope.evidence - problem.start([*rest, load.cause], kappa).evidence
         for i in columns[b.shape[columns]]:
-            sd = math.sqrt(hung.best.variance(np.eye(1, len(at), i)[0]))
-            held[b.names[i]] = float(b.now[i] + hung.best.x[i]), sd
+            sd = math.sqrt(on_rope.best.variance(np.eye(1, len(at), i)[0]))
+            held[b.names[i]] = float(b.now[i] + on_rope.best.x[i]), sd
     values, deviations = ({n: pair[k] for n, pair in held.items()} for k in (0, 1))
     return Hypothesis(effect, (), float(expit(log_odds)), values, deviations)
 

@@ -262,8 +262,8 @@ class Physics:
         moments = u[[body.input_names.index(f"moment_{a}") for a in "xyz"]]
         by_moment = ca.jacobian(bare, moments)
         force = bare[:3] + by_moment[:3, :] @ ca.inv(by_moment[3:, :]) @ (turning - bare[3:])
-        felt = outputs | dict(zip(moved, ca.vertsplit(ca.vertcat(force, turning)), strict=True))
-        measured = ca.vertcat(*[felt[n] for n in sensor.input_names])
+        as_shown = outputs | dict(zip(moved, ca.vertsplit(ca.vertcat(force, turning)), strict=True))
+        measured = ca.vertcat(*[as_shown[n] for n in sensor.input_names])
         sensed_force = ca.substitute(shown[:3], sensed, measured)
         readings = ca.substitute(readings, sensed, imu_inputs)
         self._as_measured = [x, u, turning], theta, ca.vertcat(sensed_force, readings[3:])
