@@ -63,6 +63,8 @@ DIRECTION_GAIN_1_S, RATE_GAIN_1_S2 = 8.0, 16.0
 """K and L. Chosen on benchmark flights: with half of them a load that swings beyond 60 degrees is
 lost for seconds, and its mass is estimated too small. Other causes are not followed fast enough to
 imitate a pendulum: their own effects still fit far better."""
+FASTEST_RAD = 0.5
+"""Largest turn of a load in one step: of a faster one the integration makes ever more."""
 FAINT_M_S2 = 0.3
 """d0: force of a load of 3 % of the vehicle at rest; the direction of a smaller force is noise."""
 PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")  # states: load from its anchor, NED, m
@@ -125,7 +127,9 @@ def observe_swing(
     first = flow(state, free)
     moved = state + step_s / 2 * (first + flow(state + step_s * first, then))
     p, w = moved[:3] / ca.norm_2(moved[:3]), moved[3:]
-    after_step = ca.if_else(hangs, ca.vertcat(p, w - ca.dot(w, p) * p), rest)
+    w = w - ca.dot(w, p) * p
+    w = w / ca.fmax(step_s * ca.norm_2(w + 1e-12) / FASTEST_RAD, 1.0)
+    after_step = ca.if_else(hangs, ca.vertcat(p, w), rest)
     step = ca.Function("swing_step", [state, free, then, excess, hangs], [after_step])
     start, later = np.asarray(rest).ravel(), np.vstack([free_n[1:], free_n[-1:]])
     there = lifted[:, None].astype(np.float64)

@@ -165,6 +165,15 @@ def test_a_load_on_the_ground_pulls_where_the_log_says_so_alone() -> None:
     assert np.abs(rate[high][1:]).max() > 0.1
 
 
+def test_a_load_on_a_short_rope_stays_within_what_can_be_integrated() -> None:
+    """Thrown about, a load 10 cm below turned ever faster, beyond the largest number."""
+    rng, n = np.random.default_rng(0), 4000
+    free = np.array([0.0, 0.0, -G]) + 25.0 * rng.standard_normal((n, 3))
+    along, rate, _ = observe_swing(free, 0 * free, 0.1, STEP_S, np.ones(n, dtype=bool))
+    assert np.linalg.norm(rate, axis=1).max() * STEP_S <= 0.5 + 1e-9
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
+
+
 def fitted(vehicle: Vehicle, plant: Vehicle, names: tuple[str, ...]) -> Problem:
     """Some effects against a flight of a plant."""
     return against(fly(vehicle, plant, 1, waypoints=WAYPOINTS), vehicle, *names)
