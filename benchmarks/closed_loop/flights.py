@@ -2,7 +2,8 @@
 
 The plant is the built-in quadrotor with inertia, lag, centre of mass, thrust and yaw torque drawn
 from the priors of a calibration; the controller is designed on the file. Force and moment
-are Ornstein-Uhlenbeck processes, as of turbulence, and nobody excites the aircraft on purpose. The
+are Ornstein-Uhlenbeck processes, as of turbulence, and nobody excites the aircraft on purpose. What
+differs between days is drawn from its priors, too: centre of mass, constant force and moment. The
 log holds what an autopilot logs of its setpoints: velocity of the mission, and an attitude that the
 position loop asks for, disturbances in it.
 """
@@ -16,6 +17,8 @@ from scipy.signal import lfilter
 
 from twin.effects import EFFECTS, prior_of
 from twin.effects.parameters import Normal
+from twin.explain.inference.noise import constants_of_days
+from twin.explain.settings import DEFAULT
 from twin.flight.closed_loop import STEP_S
 from twin.flight.control_laws import linearise
 from twin.flight.lqr import design
@@ -92,12 +95,7 @@ def planted(seed: int) -> dict[str, dict[str, float]]:
         about = {p.name: p.sized(VEHICLE) for p in EFFECTS[effect].parameters}
         numbers = {n: a.neutral or 0.0 for n, a in about.items()}
         for name in own:
-            expected = (
-                prior_of(EFFECTS[effect])
-                .of(name, False)
-                .sized(next(p for p in EFFECTS[effect].parameters if p.name == name), VEHICLE)
-            )
-            expected = prior_of(EFFECTS[effect]).change(expected, VEHICLE)
+            expected = _expected(effect, name)
             low, high = about[name].bounds
             low = max(low, LEAST.get(effect, low))
             while not low <= (value := _drawn(expected, about[name].neutral, rng)) <= high:
@@ -105,6 +103,23 @@ def planted(seed: int) -> dict[str, dict[str, float]]:
             numbers[name] = value
         found[effect] = numbers
     return found
+
+
+def _expected(effect: str, name: str) -> Normal:
+    """Prior of a number."""
+    about = next(p for p in EFFECTS[effect].parameters if p.name == name)
+    prior = prior_of(EFFECTS[effect])
+    return prior.change(prior.of(name, False).sized(about, VEHICLE), VEHICLE)
+
+
+def _on_its_day(
+    planted: Mapping[str, Mapping[str, float]], rng: np.random.Generator
+) -> dict[str, dict[str, float]]:
+    """Numbers of one flight: those of the aircraft and what differs between days."""
+    return {
+        e: {n: v + _expected(e, n).day * float(rng.standard_normal()) for n, v in own.items()}
+        for e, own in planted.items()
+    }
 
 
 def _drawn(expected: Normal, neutral: float | None, rng: np.random.Generator) -> float:
@@ -115,7 +130,8 @@ def _drawn(expected: Normal, neutral: float | None, rng: np.random.Generator) ->
 
 def flown(case: Case) -> Flight:
     """The log of a case."""
-    plant = VEHICLE.with_effects(planted(case.seed))
+    day = np.random.default_rng([case.seed, 3])
+    plant = VEHICLE.with_effects(_on_its_day(planted(case.seed), day))
     setpoints, phases = setpoints_along(VEHICLE, MISSIONS[case.mission])
     if case.mission == "tour":
         setpoints[:, 9] = _heading(np.asarray(STEP_S * np.arange(len(setpoints))))
@@ -123,7 +139,7 @@ def flown(case: Case) -> Flight:
     imu = (Stream(ACC, STEP_S, 0.05), Stream(GYRO, STEP_S, 0.005)) if case.log == "imu" else ()
     pose = Stream(POS, 0.01, 0.001), Stream(VEL, 0.01, 0.01), Stream(QUAT, 0.01, 0.0005)
     recorder = Recorder((Stream(drives, STEP_S), *imu, *pose), 1 / STEP_S, 1 / STEP_S, case.seed)
-    courses = _disturbances(len(setpoints), np.random.default_rng([case.seed, 2]))
+    courses = _disturbances(len(setpoints), np.random.default_rng([case.seed, 2]), day)
     flight = simulate_flight(
         setpoints, phases, VEHICLE, plant, recorder, case.name, courses=courses
     )
@@ -140,12 +156,21 @@ def _heading(t_s: Array) -> Array:
     return TURNED_RAD * np.sin(2 * np.pi * TURNED_HZ * since) ** 2
 
 
-def _disturbances(n: int, rng: np.random.Generator) -> Mapping[str, Array]:
-    """Force, N, and moment, Nm, over the steps of a flight."""
-    forces = {f"force_{a}": VEHICLE.mass_kg * FORCE_M_S2 * _process(n, FORCE_S, rng) for a in "xyz"}
-    inertia = np.diag(VEHICLE.inertia_kg_m2)
-    sizes = zip("xyz", inertia, TURN_RAD_S2, strict=True)
-    return forces | {f"moment_{a}": i * size * _process(n, TURN_S, rng) for a, i, size in sizes}
+def _disturbances(
+    n: int, rng: np.random.Generator, day: np.random.Generator
+) -> Mapping[str, Array]:
+    """Force, N, and moment, Nm, over the steps of a flight: turbulence, and the constants of the
+    day."""
+    weights = np.append(np.full(3, VEHICLE.mass_kg), np.diag(VEHICLE.inertia_kg_m2))
+    sizes = np.append(np.full(3, FORCE_M_S2), TURN_RAD_S2)
+    channels = [f"{kind}_{a}" for kind in ("acc", "gyro_rate") for a in "xyz"]
+    constants = constants_of_days(channels, VEHICLE, DEFAULT.inference.evidence)
+    found = {}
+    for k, (weight, size, constant) in enumerate(zip(weights, sizes, constants, strict=True)):
+        time_s, name = (FORCE_S, "force") if k < 3 else (TURN_S, "moment")
+        moved = size * _process(n, time_s, rng) + constant * day.standard_normal()
+        found[f"{name}_{'xyz'[k % 3]}"] = weight * moved
+    return found
 
 
 def _process(n: int, time_s: float, rng: np.random.Generator) -> Array:

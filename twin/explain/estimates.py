@@ -160,16 +160,11 @@ def estimates_alone(found: Explanation, effect: str) -> list[Estimate]:
     stochastic = stochastic_effect(found, effect)
     if stochastic is not None:
         numbers = numbers_of([EFFECTS[effect]], found.vehicle)
-        own = stochastic.intervals
+        values, before, own = stochastic.values, stochastic.before, stochastic.intervals
         return [
-            Estimate(
-                n,
-                stochastic.values[n.full],
-                stochastic.before.get(n.full, n.about.neutral),
-                own.get(n.full),
-            )
+            Estimate(n, values[n.full], before.get(n.full, n.about.neutral), own.get(n.full))
             for n in numbers
-            if n.full in stochastic.values
+            if n.full in values
         ]
     assert found.naming is not None
     fitted = found.naming.shown if effect in _untold(found) else None

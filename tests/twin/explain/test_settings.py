@@ -104,6 +104,7 @@ LOCAL = {
     },
     "frequencies in which channels are taken apart": {
         "inference.instruments.LOOP_HZ",
+        "inference.noise.CORNERS_HZ",
         "inference.instruments.SLOWEST",
         "inference.setpoints.SHARPEST",
         "inference.setpoints.SLOW_HZ",

@@ -128,9 +128,10 @@ class _Prior:
     deviation: Array
     odds: float
 
-    def precision_at(self, x: Array) -> Array:
-        """Precision with the weights of the scales."""
-        root = np.sqrt(tail_weights(x - self.mean, self.deviation))
+    def precision_at(self, x: Array, most: float = np.inf) -> Array:
+        """Precision with the weights of the scales, at most so large; with 1, what only the prior
+        knows has its deviation."""
+        root = np.sqrt(np.minimum(tail_weights(x - self.mean, self.deviation), most))
         return np.asarray(self.precision * np.outer(root, root))
 
     def log_density(self, x: Array) -> float:
@@ -325,7 +326,7 @@ class LaplaceEvidence:
             x, left, now = z, new_left, new
             if done:
                 break
-        h = Factored.of(curvature(left, prior.precision_at(x)))
+        h = Factored.of(curvature(left, prior.precision_at(x, most=1.0)))
         laplace = 0.5 * (prior.log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x

@@ -179,30 +179,25 @@ class Problem(ShortRepr):
     def between_days(self, state: State) -> dict[str, float]:
         """Between-flight standard deviation of each number with day-to-day variation: prior
         combined with these flights."""
-        best = state.best
-        days, doubts = self.split(best.x)[1], self.split(best.deviations())[1]
-        found = {}
-        for j, i in enumerate(self.priors.days):
-            shown = days[:, j] ** 2 + doubts[:, j] ** 2
-            found[self.priors.names[i]] = _deviation(state.kappa * self.priors.day[i], shown)
-        return found
+        b = self.priors
+        days, doubts = (self.split(v)[1] for v in (state.best.x, state.best.deviations()))
+        pairs = zip(b.days, (days**2 + doubts**2).T, strict=True)
+        return {b.names[i]: _deviation(state.kappa * b.day[i], shown) for i, shown in pairs}
 
     def constants_between_days(self, state: State) -> dict[str, float]:
         """Between-flight standard deviation of the unexplained constant, by channel."""
-        found = {}
-        pairs = zip(self.rest.channels, state.spectrum.rows, strict=True)
-        for c, (name, rows) in enumerate(pairs):
-            left = np.array([float(np.sum(r.residual[r.band == 0] ** 2)) for r in rows])
-            found[name] = _deviation(state.kappa * np.sqrt(self.noise.bands.floor[c, 0]), left)
-        return found
+        usual = state.kappa * np.sqrt(self.noise.bands.days)
+        every = zip(self.rest.channels, usual, state.spectrum.rows, strict=True)
+        left = ((n, v, [np.sum(r.residual[r.band == 0] ** 2) for r in own]) for n, v, own in every)
+        return {name: _deviation(sd, np.array(shown)) for name, sd, shown in left}
 
     def with_instruments_at(self, state: State) -> "Problem":
         """The problem with instruments tested against the model at the numbers of a state: effects
         missing in the nominal model make valid instruments look correlated with disturbances.
         """
         logs = [f.flight for f in self.model.flights]
-        flights = self.channels(state.best.x)
-        noise = InstrumentNoise.of(logs, flights, self.noise.bands, self.noise.rough)
+        flights, bands = self.channels(state.best.x), self.noise.bands.with_means_of(state.spectrum)
+        noise = InstrumentNoise.of(logs, flights, bands, self.noise.rough)
         return replace(self, noise=noise)
 
     def acquainted(self, effects: Sequence[str]) -> "Problem":
@@ -232,12 +227,8 @@ class Problem(ShortRepr):
         day = np.array([shown.get(n, usual) for n, usual in pairs])
         constants = {(c, 0): left[name] ** 2 for c, name in enumerate(self.rest.channels)}
         bands = replace(self.noise.bands, floor={**self.noise.bands.floor, **constants})
-        return replace(
-            self,
-            priors=replace(self.priors, day=day),
-            noise=replace(self.noise, bands=bands),
-            kappas=(1.0,),
-        )
+        priors, noise = replace(self.priors, day=day), replace(self.noise, bands=bands)
+        return replace(self, priors=priors, noise=noise, kappas=(1.0,))
 
     def linearised(self, state: State) -> LaplaceEvidence:
         """Linearisation of all candidate models near a state, with slopes by every number there."""
@@ -247,8 +238,7 @@ class Problem(ShortRepr):
     def start(self, effects: Sequence[str], kappa: float, least: float = -np.inf) -> State:
         """Fit of a candidate model from its prior means; arguments as of `settle`."""
         x = np.zeros(len(self.priors.now) + self.rest.days.size)
-        own = self.priors.of(effects)
-        b = self.priors
+        b, own = self.priors, self.priors.of(effects)
         x[own] = np.clip(b.mean[own], b.low[own], b.high[own]) - b.now[own]
         return self.loosened(effects, kappa, self.rest, x, least)
 

@@ -11,9 +11,9 @@ orthonormal basis of z in the n rows of each flight, and T the trust in it,
 
     log L(theta) = -1/2 sum_k n_k log(1 + T |Q'e|^2 / |e - QQ'e|^2),    by Anderson & Rubin (1949)
     J = min over gain and lag of sum_k n_k log(1 + |Q'e|^2 / |e - QQ'e|^2) / (sum_k rank Q_k - 3)
-    T = 1 / max(1.2, J) / (1 + c n_k / rank Q);  0 where such a J is improbable, and where the first
-    stage is weak; c: share of a disturbance that may follow z (Conley, Hansen & Rossi, Rev. Econ.
-    Stat. 94, 2012), so that more rows of a setpoint in the loop add no information
+    T = (1 - 1 / F) / max(1.2, J) / (1 + c n_k / rank Q);  0 where such a J is improbable, and where
+    F of the first stage is small: 1 / F of its power along z is noise; c: share of a disturbance
+    that may follow z (Conley, Hansen & Rossi, Rev. Econ. Stat. 94, 2012): more rows tell no more
 
 J is computed for the nominal model, and again with the effects at the end of a search: what the
 model lacks is no disturbance. For a mission, a moment proportional to the flown speed, by the air,
@@ -111,8 +111,10 @@ class Instrument(ShortRepr):
     @property
     def trust(self) -> float:
         """Trust T: weight of the likelihood along it; 0: it is no instrument."""
-        valid = self.chance >= CHANCE[self.source] and self.strength >= F_LEAST[self.source]
-        return 1 / max(UNEVEN, self.misfit) if valid else 0.0
+        least = F_LEAST[self.source]
+        if self.chance < CHANCE[self.source] or self.strength < least:
+            return 0.0
+        return (1 - 1 / self.strength if least else 1.0) / max(UNEVEN, self.misfit)
 
     def trust_in(self, band: int) -> float:
         """Trust in one band, limited by the possible correlation of a disturbance with it."""
@@ -357,12 +359,12 @@ class InstrumentNoise(ShortRepr):
         return self.turning - heard
 
     def trusts_as(self, other: "InstrumentNoise") -> bool:
-        """Whether the same instruments are trusted, with about equal trust."""
+        """Whether the same instruments are trusted, with about equal trust, and means alike."""
         own, others = ({k: i for k, i in n.instruments.items() if i.trust} for n in (self, other))
-        return own.keys() == others.keys() and all(
-            i.source == others[k].source and 1 / ALIKE < i.trust / others[k].trust < ALIKE
-            for k, i in own.items()
-        )
+        pairs = [(i.trust, others[k].trust) for k, i in own.items() if k in others]
+        pairs += [(v, other.bands.floor[k]) for k, v in self.bands.floor.items() if k[1] == 0]
+        sources = [{k: i.source for k, i in used.items()} for used in (own, others)]
+        return sources[0] == sources[1] and all(1 / ALIKE < a / b < ALIKE for a, b in pairs)
 
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]

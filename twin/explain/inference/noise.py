@@ -15,7 +15,7 @@ slopes, and forms sums of products of them, its terms. Its likelihood (`BandLike
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,12 +56,14 @@ class BandNoise(ShortRepr):
         own: Weight a of the rows of each channel, at most 1.
         rounding: Rounding variance of a row, by channel and band.
         level: Degrees of freedom of the prior variance.
+        days: Variance between days of the constant of each channel at kappa = 1.
     """
 
     floor: Mapping[tuple[int, int], float]
     own: Array
     rounding: Mapping[tuple[int, int], float]
     level: float = DEFAULT.inference.evidence.level
+    days: Sequence[float] = ()
 
     @classmethod
     def of(
@@ -92,7 +94,20 @@ class BandNoise(ShortRepr):
                 if (c, b) in power:
                     p, count = power[c, b]
                     floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + least[b]
-        return cls(floor, own, rounding, settings.level)
+        return cls(floor, own, rounding, settings.level, [d**2 for d in constants])
+
+    def with_means_of(self, left: Spectrum) -> "BandNoise":
+        """The noise model with the mean of a flight as uncertain as disturbances leave it: their
+        power at 0 Hz over the number of samples. They are taken as of first order, as gusts are (H.
+        L. Dryden), S(f) = S(0) / (1 + (f / corner)^2), with the powers of the two slowest bands."""
+        edges, power, means = BANDS_HZ[:3, None], left.power(), {}
+        share = CORNERS_HZ * np.diff(np.arctan(edges / CORNERS_HZ), axis=0) / np.diff(edges, axis=0)
+        for c, own in enumerate(left.rows):
+            (slow, n), (fast, m) = (power.get((c, b), (0.0, 1)) for b in (1, 2))
+            samples = (n + m) * CHANNEL_HZ / 2 / BANDS_HZ[2] / len(own)  # of a flight
+            known = np.interp(fast / m / max(slow / n, 1e-300), share[1] / share[0], share[0])
+            means[c, 0] = self.days[c] + float(slow / n / known / samples)
+        return replace(self, floor={**self.floor, **means})
 
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
@@ -167,6 +182,8 @@ class BandLikelihood(ShortRepr):
 # -- what is known of a channel beforehand --------------------------------------------------
 
 
+CORNERS_HZ = np.geomspace(0.03, 3.0, 100)
+"""Possible corner frequencies of a disturbance; below, it is a constant of the flight. Made up."""
 FAST_RAD_S = 0.4
 """Body rate of a fast turn, rad/s."""
 

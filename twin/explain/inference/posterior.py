@@ -94,13 +94,10 @@ class Posterior(ShortRepr):
     def exchangeable(self, effect: str) -> tuple[str, ...]:
         """Effects that are alternatives to this one."""
         p = np.array([s.probability for s in self.sets])
-        own = np.array([effect in s.effects for s in self.sets], dtype=np.float64)
-        found = []
-        for other in self.inclusion:
-            there = np.array([other in s.effects for s in self.sets], dtype=np.float64)
-            if other != effect and _correlation(own, there, p) < EXCHANGED:
-                found.append(other)
-        return tuple(found)
+        others = (effect, *(e for e in self.inclusion if e != effect))
+        own, *rest = (np.array([float(e in s.effects) for s in self.sets]) for e in others)
+        pairs = zip(others[1:], rest, strict=True)
+        return tuple(e for e, there in pairs if _correlation(own, there, p) < EXCHANGED)
 
     def total(self, row: Array, effects: Collection[str]) -> tuple[float, float, float]:
         """Posterior of the sum of several effects' numbers.

@@ -311,13 +311,10 @@ def _late(problem: Problem, laplace: LaplaceEvidence, state: State, begun: set[s
 
 def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:
     """The model without each effect that adds little by the linearisation."""
-    whole = laplace.best(state.effects, state.kappa).evidence
-    sets: list[Trial] = []
-    for old in (e for e in state.effects if not is_time(e)):
-        rest = tuple(e for e in state.effects if e != old)
-        if whole - laplace.best(rest, state.kappa).evidence < CLEAR:
-            sets.append((rest, None))
-    return sets
+    least = laplace.best(state.effects, state.kappa).evidence - CLEAR
+    own = [e for e in state.effects if not is_time(e)]
+    rests = [tuple(e for e in state.effects if e != old) for old in own]
+    return [(r, None) for r in rests if laplace.best(r, state.kappa).evidence > least]
 
 
 def _alone(state: State) -> list[Trial]:

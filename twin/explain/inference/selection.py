@@ -358,16 +358,14 @@ def _named(
     usual: Mapping[str, float],
 ) -> Naming:
     laplace, kappa, rules = found.laplace, found.state.kappa, settings.selection
-    nothing = laplace.best((), kappa).evidence
+    none = laplace.best((), kappa)
     chances: dict[tuple[str, ...], float] = {(): 0.0}
-    fits: dict[tuple[str, ...], Fit] = {
-        (): fit_of_best(problem, (), laplace.best((), kappa), nothing)
-    }
+    fits: dict[tuple[str, ...], Fit] = {(): fit_of_best(problem, (), none, none.evidence)}
     causes: dict[tuple[str, ...], list[str]] = {(): []}
     inclusion = dict.fromkeys(problem.model.effects, 0.0)
     silent = _silent(problem, posterior, rules)
     for s in posterior.sets:
-        whole = fit_of_best(problem, s.effects, s.best, nothing)
+        whole = fit_of_best(problem, s.effects, s.best, none.evidence)
         for e in substantial_effects(whole):
             inclusion[e] += s.probability
         heard = [c for c in s.effects if c not in silent]

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.fft import dct
+from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 from scipy.stats import t as student
 from search_rigs.linear_evidence import Linear
@@ -191,6 +192,33 @@ def test_one_flight_tells_no_more_than_its_samples_however_fast_it_was_logged() 
         leads.append(laplace.best(["a"], 1.0).evidence - laplace.best([], 1.0).evidence)
     assert leads[1] == pytest.approx(leads[0], rel=0.2)
     assert leads[1] < 0.5 * samples * np.log(2)  # half the power is explained
+
+
+@pytest.mark.parametrize("kept", [0.9, 0.99])
+def test_the_mean_of_a_flight_is_as_unsure_as_slow_noise_makes_it(kept: float) -> None:
+    """Noise of 0.2 and 2 s: nearly all means are inside what it allows, and a second time adds
+    nothing."""
+    rng, n, inside = np.random.default_rng(7), 1800, 0
+    for _ in range(200):
+        noise = lfilter([1.0], [1.0, -kept], rng.standard_normal(n + 500))[500:]
+        rows = dct(noise, norm="ortho")
+        band = np.searchsorted(BANDS_HZ, np.arange(n) * CHANNEL_HZ / 2 / n, side="right")
+        rows[0], band[0] = rows[0] / np.sqrt(n), 0
+        plain = Linear(["a"], [[(band, rows, np.zeros((n, 1)))]], {})
+        before = BandNoise.of(plain.spectrum, [0.01])
+        after = before.with_means_of(plain.spectrum).with_means_of(plain.spectrum)
+        assert before.floor[0, 0] == pytest.approx(1e-4)
+        inside += rows[0] ** 2 < 1.96**2 * after.floor[0, 0]
+    assert 170 <= inside <= 196
+
+
+def test_what_only_the_prior_knows_has_its_deviation() -> None:
+    """And what is known is known as well as before."""
+    unseen, seen = one_number(size=0.0), one_number(size=0.4)
+    ((band, rows, slopes),) = unseen.channels[0]
+    unseen = replace(unseen, channels=[[(band, rows, 1e-6 * slopes)]])
+    assert unseen.laplace.best(["a"], 1.0).deviations()[0] == pytest.approx(0.5, rel=1e-3)
+    assert seen.laplace.best(["a"], 1.0).deviations()[0] < 0.25
 
 
 def test_a_number_stays_inside_its_range_and_the_others_make_the_best_of_it() -> None:

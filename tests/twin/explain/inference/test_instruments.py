@@ -13,7 +13,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from twin.effects import EFFECTS
 from twin.explain.inference.fit import Problem
-from twin.explain.inference.instruments import InstrumentNoise
+from twin.explain.inference.instruments import UNEVEN, Instrument, InstrumentNoise
 from twin.explain.inference.noise import BandNoise
 from twin.explain.inference.priors import priors_of
 from twin.explain.inference.search import search, with_instruments_of_end
@@ -222,6 +222,13 @@ def test_what_the_model_lacks_is_no_disturbance_once_it_is_there(seed: int) -> N
     y, u, setpoint = looped(ZERO, pushes(seed, 3.0), follows=0.2)
     law = law_of([flight(rolled(setpoint))], [channel(y, GAIN * u)])
     assert law.instruments[0, 0].trust == 0
+
+
+@pytest.mark.parametrize(("strength", "trusted"), [(2.9, 0.0), (4.0, 0.75), (1e9, 1.0)])
+def test_noise_of_the_first_stage_tells_nothing(strength: float, trusted: float) -> None:
+    """Of a moment that goes with a mission 1 / F is noise."""
+    made = Instrument("mission", {}, {}, 0.5, 1.0, strength)
+    assert made.trust == pytest.approx(trusted / UNEVEN)
 
 
 @pytest.mark.slow
