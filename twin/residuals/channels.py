@@ -195,6 +195,9 @@ def measured(
     settle = round(2 / band_hz * GRID_HZ)
     if together:
         pieces = [rows[-(rows[0] + settle) % EVERY :] for rows in pieces]
+    pieces = [rows for rows in pieces if len(rows) > settle]
+    if not pieces:
+        return None
     group = Measured(
         names=tuple(names),
         unit=unit,

@@ -441,7 +441,7 @@ def motion_factors(context: FlightContext, missing: Collection[str]) -> list[Sen
             readings, None, nothing, nothing, outputs, {}, effects, rate, as_logged=shown, axes=axes
         )
         for readings, outputs, effects, rate, shown, axes in found
-        if readings is not None and len(readings.t_s)
+        if readings is not None
     ]
 
 
