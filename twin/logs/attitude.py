@@ -196,9 +196,10 @@ def _check_radians(name: str, angles: Array) -> None:
     rows, columns = np.nonzero(np.abs(angles) > _FARTHEST_RAD)
     if len(rows):
         value, column = angles[rows[0], columns[0]], EULER[columns[0]]
+        turns = " Does it count turns? Take off whole ones, of 2 pi." if column == "yaw_rad" else ""
         raise LogError(
             f"{name}: {column} in data row {rows[0] + 1} is {value:.6g}, beyond a whole turn "
-            f"({len(rows)} such values). Is it in degrees? 1 degree = 0.0174533 rad."
+            f"({len(rows)} such values). Is it in degrees? 1 degree = 0.0174533 rad.{turns}"
         )
 
 

@@ -56,6 +56,9 @@ def test_where_there_are_both_they_must_agree(tmp_path: Path) -> None:
 def test_degrees_are_refused_and_a_part_of_an_attitude_is_not_used(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="degrees"):
         read(tmp_path, **{c: np.degrees(v) for c, v in angles().items()})
+    counted = angles() | {"yaw_rad": angles()["yaw_rad"] + 4 * np.pi}
+    with pytest.raises(LogError, match=r"yaw_rad.* whole ones, of 2 pi"):
+        read(tmp_path, **counted)
     flight = read(tmp_path, roll_rad=0.0, pitch_rad=0.0, gyro_x=0.0, gyro_y=0.0, gyro_z=0.0)
     assert not flight.has("q_w")
     assert any("lack yaw_rad" in f.message for f in flight.findings)
