@@ -79,6 +79,16 @@ def written(
             {"x_m": 0.004, "y_m": -0.002, "z_m": 0.0},
             "its centre of mass has moved 4 mm forward and 2 mm left",
         ),
+        (
+            "payload_cg",
+            {"mass_kg": 0.1, "moment_x_kg_m": -0.002, "moment_y_kg_m": 5e-6},
+            "it carries 0.1 kg more, 20 mm back",
+        ),
+        (
+            "payload_cg",
+            {"mass_kg": 0.1, "moment_x_kg_m": 5e-6, "moment_y_kg_m": 5e-6},
+            "it carries 0.1 kg more",
+        ),
         ("slung_load", {"mass_kg": 0.2}, "a load of 0.2 kg hangs below it on a rope"),
         (
             "command_delay",

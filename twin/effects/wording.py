@@ -8,6 +8,8 @@ import numpy as np
 from ..formatting import joined, number, percent, quantity
 from ..vehicle import GRAVITY_M_S2
 
+_NEAREST_M = 1e-3
+"""Distance of a load from the centre of mass below which none is told: made up."""
 Changes = Mapping[str, float]
 """Difference of each number of an effect."""
 Clause = Callable[[Changes, bool], str]
@@ -141,7 +143,7 @@ def payload_clause(change: Changes, since: bool) -> str:
     away = [
         f"{number(1e3 * abs(m) / kg)} mm {ways[0 if m > 0 else 1]}"
         for m, (_, *ways) in zip(moment, AXES, strict=True)
-        if kg > 0 and m
+        if kg > 0 and abs(m) >= kg * _NEAREST_M
     ]
     if kg > 0:
         return f"it carries {quantity(kg, 'kg')} more" + (f", {joined(away)}" if away else "")
