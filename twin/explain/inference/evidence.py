@@ -10,9 +10,9 @@ channel (a coarsened posterior: Miller & Dunson, J. Am. Stat. Assoc. 114, 2019),
 depend on the model of G, so that disturbances alone contain no information on it; that is the
 prediction-error method with free noise (Ljung, System Identification, sec. 13.4).
 
-The variance of a constant is the between-flight variance of its channel's unexplained constant:
-trim, levelling, temperature. kappa scales all day-to-day variation and is a number of the candidate
-model, too.
+The variance of a constant is that of its channel's unexplained constant: between days by trim,
+levelling, temperature, and by disturbances. kappa scales all day-to-day variation, and this
+variance, and is a number of the candidate model, too.
 """
 
 import math

@@ -5,9 +5,10 @@
     -2 d log L / d (a RSS_k) = (a n_k + nu) / (nu s_k^2 + a RSS_k)
 
 k: the rows of a channel and band, whose level v_k is integrated out: Student's t for a band. A
-constant is a row of known variance, v = (kappa d)^2, one sample per flight. a: weight of a row, as
-rows are not independent. The variance of rounding to the sensor's least count is added to each RSS:
-noise-free readings of a simulation have no better accuracy.
+constant is a row of known variance, v = kappa^2 (d^2 + S / n), one sample per flight; S: power of
+disturbances at 0 Hz, see `BandNoise.with_means_of`. a: weight of a row, as rows are not
+independent. The variance of rounding to the sensor's least count is added to each RSS: noise-free
+readings of a simulation have no better accuracy.
 
 A noise model (`BandNoise`; `instruments.InstrumentNoise`) takes the rows of a channel, residual and
 slopes, and forms sums of products of them, its terms. Its likelihood (`BandLikelihood`;
