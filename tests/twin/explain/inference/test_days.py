@@ -71,3 +71,20 @@ def test_flights_teach_by_how_much_their_days_differ_number_by_number() -> None:
     assert learned.day[place[Z]] < 0.8 * b.day[place[Z]]
     untold = [i for i in range(len(b.names)) if i not in b.days]
     np.testing.assert_array_equal(learned.day[untold], b.day[untold])
+
+
+@pytest.mark.slow
+def test_means_that_disturbances_leave_stay_when_days_are_learned() -> None:
+    usual = problem()
+    state, bands = usual.start((), 1.0), usual.noise.bands
+    wide = {(c, 0): 9.0 * v for c, v in enumerate(bands.days)}
+    windy = replace(bands, floor={**bands.floor, **wide})
+    calm, learned = (
+        replace(usual, noise=replace(usual.noise, bands=b)).accustomed(state).noise.bands
+        for b in (bands, windy)
+    )
+    for c, name in enumerate(usual.rest.channels):
+        assert learned.floor[c, 0] > 2.0 * calm.floor[c, 0], name
+    assert usual.constants_between_days(state, bands.days) == pytest.approx(
+        {n: calm.floor[c, 0] ** 0.5 for c, n in enumerate(usual.rest.channels)}
+    )

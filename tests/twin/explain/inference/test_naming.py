@@ -169,6 +169,7 @@ def test_a_weak_rotor_is_found_beside_another_centre_of_mass() -> None:
     planted = problem.start(("cog_offset", "rotor_efficiency_loss:2"), 1.0)
     assert planted.evidence > plain.evidence + 5.0
     assert planted.evidence - 1.0 < found.evidence < planted.evidence + 5.0
+    assert any(e.startswith("rotor_efficiency_loss") for e in found.effects)
 
 
 def test_a_lag_is_found_where_no_slope_leads_to_it(data_dir: Path) -> None:
