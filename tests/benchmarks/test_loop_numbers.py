@@ -2,15 +2,25 @@
 
 from typing import Any
 
-from benchmarks.closed_loop.__main__ import table
+from benchmarks.closed_loop.__main__ import GOALS, table
+
+
+def told(truth: float, estimate: float, sd: float, width: float) -> dict[str, float]:
+    low, high = estimate - 1.96 * sd, estimate + 1.96 * sd
+    off = (estimate - truth) / sd
+    return {"truth": truth, "low": low, "high": high, "off": off, "width": width}
 
 
 def row(seed: int, off: float) -> dict[str, Any]:
-    """A flight whose lag is told `off` deviations too long, and whose file is 1.5 prior deviations
-    off; of the last seed 3."""
+    """A flight whose numbers are told `off` deviations too large, and whose file is 1.5 prior
+    deviations off; of the last seed 3."""
     truth = -0.03 if seed < 9 else -0.06
-    lag = {"truth": truth, "estimate": truth + 0.01 * off, "sd": 0.01, "prior": 0.02}
-    return {"mission": "tour", "log": "imu", "numbers": {"motor_lag.tau_s": lag}}
+    number = {
+        "told": told(truth, truth + 0.01 * off, 0.01, 0.5),
+        "file": told(truth, 0.0, 0.02, 1.0),
+    }
+    numbers = {n: number for names in GOALS.values() for n in names}
+    return {"mission": "tour", "log": "imu", "numbers": numbers}
 
 
 def test_what_misses_a_goal_is_marked_and_the_file_stands_beside_it() -> None:
