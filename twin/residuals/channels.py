@@ -36,7 +36,7 @@ from ..representation import ShortRepr
 from ..vehicle import Vehicle
 from .aligned import AlignedFlight
 from .gap import Channel
-from .measured import AnySignal, filtered_at, signal_of
+from .measured import AnySignal, filtered_at, signal_of, smooth_at
 
 Array = NDArray[np.float64]
 GRID_HZ = 200.0
@@ -67,7 +67,8 @@ class ChannelData(ShortRepr):
         residual: Measured minus predicted, shape (n,).
         slopes: Derivative of the prediction by each number, shape (n, k).
         piece: Number of the uninterrupted piece of flight of each sample, shape (n,).
-        nyquist_hz: Half the sample rate of its slowest log, Hz; above it are images of samples.
+        nyquist_hz: Half the sample rate of its sensor, or of the slowest log of the pose behind
+            it, Hz; above it are images of samples.
     """
 
     name: str
@@ -278,10 +279,13 @@ def mean_over_step(values: Array) -> Array:
 
 
 def on_grid(signal: AnySignal, t_s: Array) -> Array:
-    """A measured signal on the grid, with an anti-alias filter where it is much faster."""
+    """A measured signal on the grid by cubic splines, or an anti-alias filter where it is much
+    faster.
+
+    Lines between slow samples would attenuate a signal as a smaller scale of its sensor does."""
     if signal.rate_hz > 1.5 * GRID_HZ:
         return filtered_at(signal, 0.4 * GRID_HZ, t_s)
-    return signal.at(t_s)
+    return smooth_at(signal, t_s)
 
 
 class GridSpline:
