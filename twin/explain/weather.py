@@ -139,7 +139,9 @@ def hanging_of(naming: Naming, load: Hypothesis) -> Hypothesis:
             return problem.laplace(there).at(sorted({*rest, effect}), kappa, x)
 
         on_rope = problem.settle([*rest, effect], kappa, problem.rest, max(starts, key=evidence))
-        log_odds += on_rope.evidence - problem.start([*rest, load.cause], kappa).evidence
+        fixed = [*rest, load.cause]
+        again = problem.settle(fixed, kappa, problem.rest, first.best.x)
+        log_odds += on_rope.evidence - max(again.evidence, problem.start(fixed, kappa).evidence)
         for i in columns[b.shape[columns]]:
             sd = math.sqrt(on_rope.best.variance(np.eye(1, len(at), i)[0]))
             held[b.names[i]] = float(b.now[i] + on_rope.best.x[i]), sd
