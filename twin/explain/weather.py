@@ -95,10 +95,9 @@ def wind_of(problem: Problem, posterior: Posterior) -> Wind | None:
     along = np.sqrt(np.sum((each / speed[:, None]) ** 2 * doubt, axis=1))
     least = STRONG * math.sqrt(sum(v**2 for v in usual) / len(usual))
     stronger = float(p @ norm.cdf((speed - least) / np.maximum(along, 1e-9)))
-    now = b.now[[b.names.index(n) for n in names]]
     change, values = (
         dict(zip(names, zip(v.tolist(), sd.tolist(), strict=True), strict=True))
-        for v in (mean, now + mean)
+        for v in (mean, b.now[[b.names.index(n) for n in names]] + mean)
     )
     return Wind(change, values, stronger)
 

@@ -62,8 +62,7 @@ from .prediction import Batch, Physics, Trajectory, remembered
 AGE_STEP_S = 0.002
 """Step of numerical differentiation by an age, a lag or a heading, s or rad."""
 SMALL = 1e-4
-"""Step of a derivative through an observer over that of the number: near a slack rope, a thousandth
-of the mass is far."""
+"""Step of a derivative through an observer over that of the number: slack ropes bend slopes."""
 SLOPES_AT_ONCE = 8
 """Number of slopes interpolated to the samples of a pose at once."""
 RECENT = 2
