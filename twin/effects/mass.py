@@ -3,7 +3,7 @@
 A load on a rope is followed along a flight by an observer, a pendulum corrected by the
 accelerometer:
 
-    e = (d - (d . s) s) / max(|d|, d0);    s = p - tau w, of length one
+    e = (d - (d . s) s) / max(|d|, d0) where T > 0, else 0;    s = p - tau w, of length one
     d p / d t = w + K e,   d w / d t = ((p . f) p - f) / l - |w|^2 p + L e
     T = M / (M + m) (l |w|^2 - p . f) m
 
@@ -111,11 +111,12 @@ def observe_swing(
     p, w = state[:3], state[3:]
     seen = p - lag_s * w
     seen = seen / ca.norm_2(seen)
+    taut = length_m * ca.dot(w, w) > ca.dot(p, free)
     innovation = (excess - ca.dot(excess, seen) * seen) / ca.fmax(
         ca.norm_2(excess + 1e-12), FAINT_M_S2
     )
     gains = ca.vertcat(*3 * [pace * DIRECTION_GAIN_1_S], *3 * [pace**2 * RATE_GAIN_1_S2])
-    pulled = gains * ca.repmat(innovation, 2, 1)
+    pulled = gains * ca.if_else(taut, ca.repmat(innovation, 2, 1), 0.0)
 
     def flow(x: ca.SX, force: ca.SX) -> ca.SX:
         """Time derivative of direction and rate."""
