@@ -50,6 +50,8 @@ LONGEST_GAP_INTERVALS = 5.0
 """A pause of more median intervals than this is a gap, in which no state is interpolated."""
 LONGEST_GAP_S = 0.25
 """Longest gap that is interpolated, however slow the signal."""
+_COINCIDENT = 0.02
+"""Share of the usual interval below which two samples all but coincide; made up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -479,7 +481,8 @@ def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
     """A signal or its derivative in time by cubic splines, NaN outside and in gaps.
 
     Linear interpolation between samples h apart, and differences over h, would be averages over
-    time, with mean variances of h^2/6 and h^2/12.
+    time, with mean variances of h^2/6 and h^2/12. Of two samples that all but coincide the first
+    counts: through both, their noise would be a slope that swings far beyond them.
 
     Args:
         signal: Signal of any rate.
@@ -492,7 +495,9 @@ def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
     there = signal.between(float(np.min(t_s)) - LONGEST_GAP_S, float(np.max(t_s)) + LONGEST_GAP_S)
     if len(there.t_s) < 4:
         return np.full((len(t_s), signal.values.shape[1]), np.nan)
-    spline = scipy.interpolate.CubicSpline(there.t_s, there.values, bc_type="natural")
+    apart = np.diff(there.t_s, prepend=-np.inf)
+    own = apart > _COINCIDENT * np.median(apart[1:])
+    spline = scipy.interpolate.CubicSpline(there.t_s[own], there.values[own], bc_type="natural")
     found = spline(t_s, derivative)
     found[~np.isfinite(signal.at(t_s))] = np.nan
     return np.asarray(found)

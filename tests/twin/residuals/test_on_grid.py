@@ -34,3 +34,10 @@ def test_a_slow_log_shows_the_whole_of_a_signal_in_its_band(rate_hz: float, is_r
     assert found is not None
     shown, predicted = found.values[:, 0], found.predicted(truth)[:, 0]
     assert shown @ predicted / (predicted @ predicted) == pytest.approx(1.0, abs=0.005)
+
+
+def test_two_samples_that_all_but_coincide_do_not_swing() -> None:
+    stamps = np.sort(np.append(np.arange(0.0, T_S[-1], 0.01), [5.000001, 7.0001]))
+    reads = np.random.default_rng(1).standard_normal((len(stamps), 1))
+    values = on_grid(Signal(stamps, reads), T_S)
+    assert np.nanmax(np.abs(values)) < 1.2 * np.max(np.abs(reads))
