@@ -7,7 +7,7 @@
   var darkOf = JSON.parse(id("dark-colours").textContent);
   var cells = Array.from(document.querySelectorAll("[data-now]"));
   var columns = {}, rests = "", alarms = new Map(), bands = {}, lost = 0;
-  var newest = null, shownAt = null, until = null, paused = false, connected = false;
+  var newest = null, shownAt = null, until = null, paused = false, connected = false, outdated = true;
   var socket = null, wait = FIRST_WAIT_MS, retryAt = 0, heardAt = 0, stale = new Set(), drawnUntil = 0;
   var offset = 0, leastTrip = Infinity, ages = [], held = [];
 
@@ -18,6 +18,10 @@
     id("said").replaceChildren(element("p", "Nothing yet.", "dim")); id("alarms").replaceChildren(); id("until").textContent = "–";
     cells.forEach(function (c) { c.textContent = "–"; });
     touch();
+  }
+
+  function begin() { // of what a new connection brings; a paused page keeps what it shows until it goes on
+    if (outdated) { outdated = false; forget(); showAlarms(); }
   }
 
   function column(name) { return columns[name] || (columns[name] = []); }
@@ -378,7 +382,8 @@
     var mine = socket;
     socket.onopen = function () {
       connected = true; wait = FIRST_WAIT_MS; heardAt = Date.now(); leastTrip = Infinity;
-      forget(); held = []; showAlarms(); ping();
+      held = []; outdated = true; ping();
+      if (!paused) begin();
     };
     socket.onmessage = function (event) {
       heardAt = Date.now();
@@ -403,7 +408,7 @@
     paused = !paused;
     id("pause").textContent = paused ? "Go on" : "Pause";
     id("pause").setAttribute("aria-pressed", String(paused));
-    if (!paused) { held.forEach(take); held = []; shownAt = null; showNow(); }
+    if (!paused) { begin(); held.forEach(take); held = []; shownAt = null; showNow(); }
     touch();
     showState();
   });

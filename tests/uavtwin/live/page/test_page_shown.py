@@ -203,6 +203,30 @@ def test_it_comes_back_after_a_restart(opened: Browser) -> None:
         shows(opened, "acc_z", "-7.25")
 
 
+def test_a_paused_page_keeps_what_it_shows_when_the_connection_is_lost(opened: Browser) -> None:
+    hub = Hub()
+    fly(feed_of(hub), 1.0, -9.81)
+    server = live_site(hub)
+    try:
+        opened.visit(server.url, WIDE)
+        shows(opened, "acc_z", "-9.81")
+        opened.run("document.querySelector('#pause').click()")
+    finally:
+        server.close()
+    state = "document.querySelector('#state').dataset.state"
+    until(opened, f"{state} === 'lost'")
+    hub = Hub()
+    fly(feed_of(hub), 2.0, -7.25)
+    with live_site(hub, port=server.port):
+        until(opened, f"{state} === 'paused'")
+        opened.run("document.querySelector('#measured-acc_x').scrollIntoView()")
+        drawn = "document.querySelector('#measured-acc_x').data[0].x"
+        until(opened, f"{drawn} && {drawn}.length === 1 && {drawn}[0] === 1")
+        assert text(opened, "[data-now=acc_z]") == "-9.81"
+        opened.run("document.querySelector('#pause').click()")
+        shows(opened, "acc_z", "-7.25")
+
+
 @pytest.mark.parametrize("view", SOME_VIEWS, ids=str)
 def test_it_looks_well(opened: Browser, tmp_path: Path, view: View) -> None:
     """Nothing overlaps or is cut, all is drawn, narrow and wide, light and dark."""
