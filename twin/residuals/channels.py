@@ -282,7 +282,8 @@ def on_grid(signal: AnySignal, t_s: Array) -> Array:
     """A measured signal on the grid by cubic splines, or an anti-alias filter where it is much
     faster.
 
-    Lines between slow samples would attenuate a signal as a smaller scale of its sensor does."""
+    Lines between slow samples would attenuate a signal as a smaller scale of its sensor does.
+    """
     if signal.rate_hz > 1.5 * GRID_HZ:
         return filtered_at(signal, 0.4 * GRID_HZ, t_s)
     return smooth_at(signal, t_s)

@@ -493,10 +493,9 @@ def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
         Values, shape (n, k).
     """
     there = signal.between(float(np.min(t_s)) - LONGEST_GAP_S, float(np.max(t_s)) + LONGEST_GAP_S)
-    if len(there.t_s) < 4:
+    own = np.append(True, np.diff(there.t_s) * signal.rate_hz > _COINCIDENT)
+    if np.count_nonzero(own) < 4:
         return np.full((len(t_s), signal.values.shape[1]), np.nan)
-    apart = np.diff(there.t_s, prepend=-np.inf)
-    own = apart > _COINCIDENT * np.median(apart[1:])
     spline = scipy.interpolate.CubicSpline(there.t_s[own], there.values[own], bc_type="natural")
     found = spline(t_s, derivative)
     found[~np.isfinite(signal.at(t_s))] = np.nan
