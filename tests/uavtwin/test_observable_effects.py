@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from twin.effects import EFFECTS, Average, Equation, Shift
+from twin.effects import EFFECTS, Average, Displacement, Equation, Shift
 from twin.errors import LogError
 from twin.explain.model.model import candidates
 from twin.explain.model.numbers import observable_effects
@@ -45,7 +45,8 @@ def test_what_is_observable_is_what_the_search_looks_for(stems: tuple[str, ...])
     unknown = {e for names in observable.unknown.values() for e in names}
     assert listed | unknown == {*EFFECTS}
     assert not listed & unknown
-    steady = {n for n in listed if isinstance(EFFECTS[n].observable_as, Average | Equation | Shift)}
+    mean = Average | Displacement | Equation | Shift
+    steady = {n for n in listed if isinstance(EFFECTS[n].observable_as, mean)}
     assert steady == {e.name for e in candidates([flight], since=True)}
 
 

@@ -15,12 +15,13 @@ How an effect is observable, which the search uses to find it:
 | Equation | readings that its component predicts with the effect |
 | Shift | signals that are offset in time |
 | Average | a pose that is smoother than the motion |
+| Displacement | a pose of another point than the sensors assume |
 | NoiseFloor | the flat part of a spectrum |
 | Lines | lines of a spectrum, at rotor frequency or at a fixed one |
 | RandomForce | a slow random force that no curve explains |
 | Repeats | readings that are constant |
 
-The first three change a mean, and are fitted together; each of the others has its own rule. Numbers
+The first four change a mean, and are fitted together; each of the others has its own rule. Numbers
 are referred to by their names within the effect, signals as in `Effect.needs`.
 """
 
@@ -114,6 +115,18 @@ class Average:
 
 
 @dataclass(frozen=True, slots=True)
+class Displacement:
+    """Observable in a pose whose motion predicts a sensor that sits elsewhere.
+
+    Attributes:
+        less: Number of another effect, "effect.number", that each number is subtracted from where a
+            sensor is predicted from the pose.
+    """
+
+    less: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
 class NoiseFloor:
     """Observable in the noise of readings, relative to that of the vehicle file.
 
@@ -168,7 +181,9 @@ class Repeats:
     channels: tuple[str, ...] = field(default=())
 
 
-Observability = Equation | Shift | Average | NoiseFloor | Lines | RandomForce | Repeats
+Observability = (
+    Equation | Shift | Average | Displacement | NoiseFloor | Lines | RandomForce | Repeats
+)
 
 
 # -- effects -------------------------------------------------------------------------------

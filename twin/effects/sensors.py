@@ -10,7 +10,16 @@ from ..component.portable import cosine, sine
 from ..frames import to_body
 from ..vehicle import Vehicle
 from ..vehicle.vehicle import hover_level
-from .definition import Block, Effect, Equation, Lines, NoiseFloor, Repeats
+from .definition import (
+    Block,
+    Displacement,
+    Effect,
+    Equation,
+    Lines,
+    NoiseFloor,
+    Repeats,
+    effect_of_records,
+)
 from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import (
     BaroReading,
@@ -123,6 +132,29 @@ IMU_LEVER_ARM = Effect(
         "boards sit anywhere on the frame",
         {"": Normal(0.0, 0.25)},
         corrects="imu.position",
+    ),
+    change=None,
+    wording=None,
+    advice=None,
+)
+
+POSE_LEVER_ARM = effect_of_records(
+    "pose_lever_arm",
+    "the logged position is that of a point beside the origin of the model: of a set of markers, "
+    "or of the IMU of an estimator",
+    tuple(
+        EffectParameter(
+            f"{a}_m", "m", f"place of the logged position, {d}", s, (-1, 1), scale=lambda v: v.arm_m
+        )
+        for (a, d), s in zip(_AXES, (0.2, -0.2, 0.2), strict=True)
+    ),
+    ("acc", "gyro", "q", "vel"),
+    "kinematics of a rigid body: the accelerometer moves about that point",
+    Displacement({f"{a}_m": f"imu_lever_arm.{a}_m" for a, _ in _AXES}),
+    prior=Prior(
+        UNMEASURED,
+        "markers are placed around the frame, and estimators report their IMU",
+        {"": Normal(0.0, 0.25)},
     ),
     change=None,
     wording=None,
@@ -484,6 +516,7 @@ BARO_DYNAMIC_PRESSURE = Effect(
 
 EFFECTS = (
     IMU_LEVER_ARM,
+    POSE_LEVER_ARM,
     VIBRATION,
     ACCEL_SCALE,
     GYRO_SCALE,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..component import Component
 from ..component.rows import noiseless_outputs
-from ..effects import EFFECTS, Average, Repeats, Shift
+from ..effects import EFFECTS, Average, Displacement, Repeats, Shift
 from ..frames import AXES, cross, to_ned
 from ..logs import Flight, Site
 from ..logs.autopilot import setpoints_of_mission
@@ -22,6 +22,9 @@ from .closed_loop import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD, STEP_S, fly, s
 from .lqr import controller
 
 Array = NDArray[np.float64]
+
+TURN = tuple(f"omega_{a}" for a in AXES)
+"""Body rates among the states of an airframe."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +185,8 @@ def _recorded(
     known |= dict(zip(body.input_names, inputs.T, strict=True))
     known["vbat_v"] = voltage_v
     _sense(known, _punctual(plant, recorder), recorder)
+    for place in _displacements(plant):
+        known |= _displaced(known, place)
     t_s = np.arange(len(states)) / recorder.sampled_hz
     for column, later_s in _late_columns(plant, recorder, list(known)):
         known[column] = np.interp(t_s - later_s, t_s, known[column])
@@ -202,9 +207,8 @@ def _of_frame(body: Component, states: Array, origin: Array) -> dict[str, Array]
             changes, the centre of mass moves.
     """
     at = [s.name for s in body.states].index
-    turn = tuple(f"omega_{a}" for a in AXES)
     pos, vel, q, omega = (
-        list(states[:, [at(c) for c in columns]].T) for columns in (POS, VEL, QUAT, turn)
+        list(states[:, [at(c) for c in columns]].T) for columns in (POS, VEL, QUAT, TURN)
     )
     moved = np.diff(origin, axis=0, prepend=origin[:1])
     place = np.array(to_ned(q, list(origin.T)))
@@ -300,6 +304,21 @@ def _late_columns(
             for column in known:
                 if column.rpartition("_")[0] in signals:
                     yield column, -delay_s if shift.acts else delay_s
+
+
+def _displacements(plant: Vehicle) -> Iterator[list[float]]:
+    """Places at which the position is logged, from the origin of the model, body FRD, m."""
+    for effect, numbers in plant.effects.items():
+        observable_as = EFFECTS[effect].observable_as
+        if isinstance(observable_as, Displacement):
+            yield [numbers.get(number, 0.0) for number in observable_as.less]
+
+
+def _displaced(known: Mapping[str, Array], place: Sequence[float]) -> dict[str, Array]:
+    """Position and velocity of a point at a place in the body, FRD, m, by column."""
+    q, omega = ([known[c] for c in columns] for columns in (QUAT, TURN))
+    moved = [*to_ned(q, list(place)), *to_ned(q, cross(omega, list(place)))]
+    return {c: known[c] + more for c, more in zip((*POS, *VEL), moved, strict=True)}
 
 
 def _averaged_columns(plant: Vehicle, known: Sequence[str]) -> Iterator[tuple[str, float]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from twin.effects import _MODULES, EFFECTS, Effect, Repeats, Shift
-from twin.effects.definition import Average, Lines, NoiseFloor, RandomForce
+from twin.effects.definition import Average, Displacement, Lines, NoiseFloor, RandomForce
 
 ROOT = Path(__file__).parents[3]
 FOLDERS = ("twin/explain", "twin/residuals", "twin/flight", "uavtwin")
@@ -74,6 +74,9 @@ def test_what_an_effect_says_of_itself_names_its_own_numbers(effect: Effect) -> 
             named = {*moves}
         case Average(spreads=spreads):
             named = {*spreads}
+        case Displacement(less=less):
+            named = {*less}
+            assert {n.partition(".")[0] for n in less.values()} <= EFFECTS.keys()
         case NoiseFloor(scale=scale, further=further):
             named = {scale, *further.values()}
         case Lines(frequency=frequency, amplitudes=amplitudes):

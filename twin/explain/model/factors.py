@@ -371,6 +371,7 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
         reach = reaching(kind.component) | moving(context, (*PLACE, *TURN, kind.signal))
         reach |= {n.effect for n in context.numbers if n.turns_pose}
         carried = None
+        reach |= {n.effect for n in context.numbers if n.less and n.less.partition(".")[0] in reach}
         if kind is accelerometer:
             late, averaged = shift_signs(context, (kind.signal,), ()), frozenset((*PLACE, *TURN))
             carried = sampled(moved[:, outputs, None])[:, :, 0] - moved[:, outputs]

@@ -21,7 +21,7 @@ from functools import cache, partial
 import numpy as np
 
 from ...component import Component
-from ...effects import EFFECTS, Average, Effect, Equation, Shift, acting_late
+from ...effects import EFFECTS, Average, Displacement, Effect, Equation, Shift, acting_late
 from ...errors import LogError
 from ...frames import to_body, to_ned
 from ...logs import Flight
@@ -477,7 +477,7 @@ def candidates(flights: Sequence[Flight], since: bool = False) -> list[Effect]:
 
 def has_mean(effect: Effect) -> bool:
     """Whether an effect changes the mean of a reading."""
-    return isinstance(effect.observable_as, Equation | Shift | Average)
+    return isinstance(effect.observable_as, Equation | Shift | Average | Displacement)
 
 
 def model_of(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Average, Effect, EffectParameter, Equation, Shift
+from ...effects import EFFECTS, Average, Displacement, Effect, EffectParameter, Equation, Shift
 from ...logs import AnyFlight, Flight
 from ...logs.columns import ACC_NED, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ...physics.sensors.table import BODY, SENSORS
@@ -90,6 +90,13 @@ class Number(ShortRepr):
         return how.spreads.get(self.name, ()) if isinstance(how, Average) else ()
 
     @property
+    def less(self) -> str:
+        """Number, "effect.number", from which it is subtracted where the pose predicts a sensor; ""
+        for most."""
+        how = EFFECTS[self.effect].observable_as
+        return how.less[self.name] if isinstance(how, Displacement) else ""
+
+    @property
     def turns_pose(self) -> bool:
         """Whether it rotates the logged attitude about the vertical."""
         how = EFFECTS[self.effect].observable_as
@@ -98,8 +105,7 @@ class Number(ShortRepr):
     @property
     def step(self) -> float:
         """Step of numerical differentiation by this number."""
-        low, high = self.about.bounds
-        return (high - low) / STEPS
+        return float(np.ptp(self.about.bounds)) / STEPS
 
 
 def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
@@ -204,10 +210,8 @@ def observable_effects(flight: AnyFlight) -> ObservableEffects:
     unknown: dict[str, list[str]] = {}
     for effect in EFFECTS.values():
         missing = drive or "; ".join(_missing(effect, flight))
-        if missing:
-            unknown.setdefault(missing, []).append(effect.name)
-        else:
-            observable.setdefault(effect.component, []).append(effect.name)
+        found, key = (unknown, missing) if missing else (observable, effect.component)
+        found.setdefault(key, []).append(effect.name)
     return ObservableEffects(
         {k: tuple(v) for k, v in observable.items()}, {k: tuple(v) for k, v in unknown.items()}
     )
@@ -224,15 +228,11 @@ def _no_drive(flight: AnyFlight) -> str:
 
 def _missing(effect: Effect, flight: AnyFlight) -> Iterator[str]:
     """Texts on the signals that an effect lacks."""
+    instead = {"vel": " (or pos)"}
+    if on_the_body(effect):
+        instead |= {ACCELEROMETER: " (or q with vel, pos or acc_ned)", GYROSCOPE: " (or q)"}
     for signal in lacking(effect, flight):
-        text = f"no {', '.join(SIGNALS[signal])}"
-        if signal == "vel":
-            text += " (or pos)"
-        if on_the_body(effect) and signal == ACCELEROMETER:
-            text += " (or q with vel, pos or acc_ned)"
-        if on_the_body(effect) and signal == GYROSCOPE:
-            text += " (or q)"
-        yield text
+        yield f"no {', '.join(SIGNALS[signal])}{instead.get(signal, '')}"
 
 
 # -- values --------------------------------------------------------------------------------------

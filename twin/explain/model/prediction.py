@@ -321,7 +321,7 @@ class Physics:
 
 
 class SensorBatch:
-    """One sensor alone, without noise: `(inputs, numbers) -> outputs`."""
+    """One sensor alone, without noise, moved by the pose: `(inputs, numbers) -> outputs`."""
 
     def __init__(
         self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]
@@ -331,7 +331,10 @@ class SensorBatch:
         theta = ca.SX.sym("theta", len(names))
         sensed = ca.SX.sym("sensed", len(sensor.inputs))
         z = ca.SX.sym("z", len(self._states.index))
-        shown = _shown(self._states, sensed, z, _parameters(sensor, effects, names, theta, {}))
+        relative = ca.SX(theta)
+        for n in (n for n in numbers if n.less in names):
+            relative[names.index(n.less)] -= theta[names.index(n.full)]
+        shown = _shown(self._states, sensed, z, _parameters(sensor, effects, names, relative, {}))
         rows = [sensed, z] if self._states.index else [sensed]
         self._batch = Batch(rows, theta, shown, numbers)
 

@@ -1,4 +1,5 @@
-"""What is of a record and not of an aircraft: clocks that are apart, a pose that is smoothed."""
+"""What is of a record and not of an aircraft: clocks that are apart, a pose that is smoothed or of
+another point."""
 
 from collections.abc import Iterable, Sequence
 from functools import cache
@@ -15,6 +16,7 @@ from twin.explain.model.numbers import with_effects
 from twin.flight.manoeuvres import Manoeuvre, plan, rehearse
 from twin.logs import Flight
 from twin.logs.columns import GYRO, POS, QUAT, VEL
+from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import WAYPOINTS, fly
 
@@ -127,7 +129,7 @@ def test_a_signal_that_is_not_there_has_no_clock() -> None:
     assert np.all(np.isfinite(rows))
 
 
-@pytest.mark.parametrize("effect", ["clock_offset", "pose_smoothing"])
+@pytest.mark.parametrize("effect", ["clock_offset", "pose_smoothing", "pose_lever_arm"])
 def test_what_is_of_a_record_is_not_written_to_a_vehicle(effect: str) -> None:
     values = {f"{effect}.{p.name}": p.start for p in EFFECTS[effect].of_logs}
     values |= {"mass_offset.mass_kg": 0.1}
@@ -136,12 +138,30 @@ def test_what_is_of_a_record_is_not_written_to_a_vehicle(effect: str) -> None:
     assert not EFFECTS[effect].of_vehicle
 
 
-@cache
-def shaken(**numbers: float) -> Flight:
-    """To and fro, recorded without noise, the pose averaged: it is smooth, not what flies."""
-    plant = VEHICLE.with_effects({"pose_smoothing": numbers})
+@pytest.mark.slow
+def test_a_position_of_another_point_is_told_from_the_place_of_the_imu() -> None:
+    """Pose and accelerometer tell the difference, thrust and accelerometer the place of the IMU."""
+    numbers = {"x_m": 0.04, "y_m": -0.03, "z_m": 0.05}
+    imu = {"x_m": 0.03, "y_m": 0.02, "z_m": -0.02}
+    plant = VEHICLE.with_effects({"imu_lever_arm": imu, "pose_lever_arm": numbers})
+    flight = flown(plant)
+    model = seen(flight, "imu_lever_arm", "pose_lever_arm")
+    truth = {f"imu_lever_arm.{k}": v for k, v in imu.items()}
+    truth |= {f"pose_lever_arm.{k}": v for k, v in numbers.items()}
+    found = fitted(model, list(truth))
+    assert found == pytest.approx(truth, abs=0.004)
+
+
+def flown(plant: Vehicle) -> Flight:
+    """To and fro, recorded without noise."""
     moves = plan(VEHICLE, [Manoeuvre("shaken", "", 10.0, shaking)])
     return rehearse(moves, VEHICLE, plant, [recorded()])
+
+
+@cache
+def shaken(**numbers: float) -> Flight:
+    """With the pose averaged: it is smooth, not what flies."""
+    return flown(VEHICLE.with_effects({"pose_smoothing": numbers}))
 
 
 def averaged(flight: Flight, width_s: float) -> Flight:
