@@ -155,6 +155,7 @@ POSE_LEVER_ARM = effect_of_records(
         UNMEASURED,
         "markers are placed around the frame, and estimators report their IMU",
         {"": Normal(0.0, 0.25)},
+        corrects="rotors.position",
     ),
     change=None,
     wording=None,

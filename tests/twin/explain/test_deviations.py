@@ -14,11 +14,12 @@ from twin.effects import EFFECTS
 from twin.explain.estimates import calibrated_effects, estimates_of
 from twin.explain.explanation import Explanation, explain
 from twin.explain.inference.fit import Fit
-from twin.explain.inference.priors import _covariance
+from twin.explain.inference.priors import _covariance, _unsure
 from twin.explain.inference.selection import _resemblances, name_effects
-from twin.explain.model.numbers import numbers_of
+from twin.explain.model.numbers import numbers_of, numbers_of_logs
 from twin.explain.settings import DEFAULT
 from twin.vehicle import Vehicle
+from twin.vehicle.vehicle import Deviation
 from twin.vehicle_file import load_vehicle, parse_vehicle, vehicle_text
 from uavtwin.demo.flights import fly
 from uavtwin.explain_record import explain_record
@@ -68,6 +69,16 @@ def test_a_torque_that_is_given_per_thrust_is_off_with_the_thrust(
         draws[:, 1] *= draws[:, 0]
     found = _covariance(numbers, sd, vehicle)
     assert found == pytest.approx(np.cov(draws.T), abs=3e-4)
+
+
+def test_the_point_of_the_position_is_known_no_better_than_the_hubs() -> None:
+    """Both are beside the centre of mass, from which the file has its places."""
+    unsure = replace(COPTER, deviations={"rotors.position": Deviation(0.04)})
+    numbers = numbers_of([EFFECTS["cog_offset"]], unsure)
+    numbers += numbers_of_logs([EFFECTS["pose_lever_arm"]], unsure)
+    found = [_unsure(n, unsure, True) for n in numbers]
+    assert found == pytest.approx([0.04 * COPTER.arm_m] * 6)
+    assert not any(_unsure(n, COPTER, True) for n in numbers)
 
 
 @pytest.mark.slow

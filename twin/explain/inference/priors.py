@@ -212,7 +212,7 @@ def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
         reaction = key == "rotors.reaction_inertia"
         inertia = rotors.reaction_inertia_kg_m2 if reaction else rotors.spin_inertia_kg_m2
         return inertia * hover_level(vehicle) if rotors.from_speed else 0.0
-    scale = next(p for p in EFFECTS[number.effect].parameters if p.unit == number.about.unit).scale
+    scale = parameter_of(number)[0].scale
     return 1.0 if scale is None else scale(vehicle)
 
 
