@@ -116,11 +116,6 @@ class Normal:
         return Normal(k * self.mean, k * self.sd, k * self.day)
 
 
-def nothing_yet(_: Vehicle) -> float:
-    """Existing value for a number that is itself a change of the model: 0."""
-    return 0.0
-
-
 def always_said(_: Vehicle) -> bool:
     """False: every vehicle file states such a cause."""
     return False
@@ -140,8 +135,10 @@ class Prior:
         timed: Whether its number shifts signals in time although the effect is no `Shift`: no
             linearisation separates such numbers.
         least: Smallest number that a flight can distinguish from none, for a vehicle; None: any.
-        already: Value of the quantity that the vehicle's own numbers already contain, in its unit:
-            `numbers` describe the whole, a change of the model is the whole less this.
+        written: Value of the key that it corrects, in the unit of its number; None: the number's
+            own scale, or 1.
+        whole: Whether `numbers` describe the whole quantity: a change of the model is the whole
+            less what is written.
         unsaid: Whether a vehicle file states nothing of the cause, so that it counts as unmeasured.
         one_sided: Whether a change can only increase it, as for damage or added parts.
     """
@@ -154,7 +151,8 @@ class Prior:
     start: bool = False
     timed: bool = False
     least: Callable[[Vehicle], float | None] = field(default=lambda _: None, repr=False)
-    already: Callable[[Vehicle], float] = field(default=nothing_yet, repr=False)
+    written: Callable[[Vehicle], float] | None = field(default=None, repr=False)
+    whole: bool = False
     unsaid: Callable[[Vehicle], bool] = field(default=always_said, repr=False)
     one_sided: bool = False
 
@@ -164,7 +162,7 @@ class Prior:
         The vehicle's own number is evidence as well, within a factor of two: half of it widens the
         distribution.
         """
-        own = self.already(vehicle)
+        own = self.written(vehicle) if self.whole and self.written else 0.0
         return Normal(whole.mean - own, math.hypot(whole.sd, own / 2), whole.day)
 
     def odds_for(self, vehicle: Vehicle) -> float:

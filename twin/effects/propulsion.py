@@ -6,7 +6,7 @@ import casadi as ca
 
 from ..frames import cross
 from ..vehicle import Vehicle
-from ..vehicle.vehicle import voltage_power
+from ..vehicle.vehicle import hover_level, voltage_power
 from .definition import Block, Effect, Equation
 from .parameters import COMMON, RARE, UNMEASURED, EffectParameter, Normal, Prior
 from .stages import Motors, Thrust, Wrench
@@ -119,6 +119,11 @@ def _voltage(vehicle: Vehicle) -> float:
     return vehicle.voltage_v
 
 
+def _momentum(vehicle: Vehicle, inertia_kg_m2: float) -> float:
+    """Spin momentum of one rotor in hover by its inertia; 0 where its speed is unknown."""
+    return inertia_kg_m2 * hover_level(vehicle) if vehicle.rotors.from_speed else 0.0
+
+
 _MOMENTUM = EffectParameter(
     "momentum_n_m_s",
     "N.m.s",
@@ -215,7 +220,8 @@ BATTERY_SAG = Effect(
         "slope 1 to 2 (Podhradsky et al. 2014) on every motor controller without compensation",
         {"slope": Normal(1.3, 0.6), "reference_v": Normal(1.0, 0.05)},
         corrects="rotors.voltage_exponent",
-        already=voltage_power,
+        written=voltage_power,
+        whole=True,
         unsaid=lambda v: not v.states_voltage,
     ),
     change=None,
@@ -247,7 +253,8 @@ MOTOR_LAG = Effect(
         "whole lag of all published airframes: 15 to 75 ms",
         {"": Normal(0.03, 0.015)},
         corrects="rotors.lag",
-        already=lambda v: v.rotors.lag_up_s,
+        written=lambda v: v.rotors.lag_up_s,
+        whole=True,
         timed=True,
         least=lambda v: None if v.rotors.follows else QUICKEST_LAG_S,
     ),
@@ -317,6 +324,7 @@ ROTOR_INERTIA_TORQUE = Effect(
         "Hummingbird, an F450, a quadrotor of 1.8 kg; Crazyflie by mass and radius of its blades",
         {"": Normal(1.0, 0.5)},
         corrects="rotors.reaction_inertia",
+        written=lambda v: _momentum(v, v.rotors.reaction_inertia_kg_m2),
         unsaid=lambda v: not v.rotors.follows,
     ),
     change=None,
@@ -338,6 +346,7 @@ GYROSCOPIC_TORQUE = Effect(
         "the same momentum",
         {"": Normal(1.0, 0.5)},
         corrects="rotors.spin_inertia",
+        written=lambda v: _momentum(v, v.rotors.spin_inertia_kg_m2),
     ),
     change=None,
     wording=None,

@@ -20,7 +20,6 @@ from ...effects import EFFECTS, EffectParameter, Shift, prior_of
 from ...errors import ModelError
 from ...representation import ShortRepr
 from ...vehicle import Vehicle, relative_deviation
-from ...vehicle.vehicle import hover_level, voltage_power
 from ..model.model import Model
 from ..model.numbers import Number
 
@@ -179,11 +178,12 @@ def _unsure(number: Number, vehicle: Vehicle, trusted: bool) -> float:
     own = vehicle.deviations.get(f"effects.{number.full}")
     if own is not None and own.numbers is not None:
         return own.numbers[0]
-    key = prior_of(EFFECTS[number.effect]).corrects
-    known = None if key is None else relative_deviation(vehicle, key)
-    if key is None or known is None or (trusted and not known.stated):
+    prior = prior_of(EFFECTS[number.effect])
+    known = None if prior.corrects is None else relative_deviation(vehicle, prior.corrects)
+    if known is None or (trusted and not known.stated):
         return 0.0
-    return known.sd * _whole(key, number, vehicle)
+    scale = prior.written or parameter_of(number)[0].scale
+    return known.sd * (1.0 if scale is None else scale(vehicle))
 
 
 def _covariance(numbers: Sequence[Number], sd: Array, vehicle: Vehicle) -> Array:
@@ -199,21 +199,6 @@ def _covariance(numbers: Sequence[Number], sd: Array, vehicle: Vehicle) -> Array
         file[torque, torque] += sd[thrust] ** 2
         file[thrust, torque] = file[torque, thrust] = sd[thrust] ** 2
     return file
-
-
-def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
-    """Value of the file's key of which an effect's number is a share, where it is one."""
-    rotors = vehicle.rotors
-    if key == "rotors.lag":
-        return rotors.lag_up_s
-    if key == "rotors.voltage_exponent":
-        return voltage_power(vehicle)
-    if key in ("rotors.reaction_inertia", "rotors.spin_inertia"):
-        reaction = key == "rotors.reaction_inertia"
-        inertia = rotors.reaction_inertia_kg_m2 if reaction else rotors.spin_inertia_kg_m2
-        return inertia * hover_level(vehicle) if rotors.from_speed else 0.0
-    scale = parameter_of(number)[0].scale
-    return 1.0 if scale is None else scale(vehicle)
 
 
 def priors_since(model: Model) -> Priors:
