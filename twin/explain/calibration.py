@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ..effects import EFFECTS, prior_of
@@ -13,6 +12,7 @@ from ..effects.parameters import RARE
 from ..errors import LogError
 from ..logs import Flight
 from ..representation import ShortRepr
+from ..residuals.channels import Array
 from ..vehicle import Calibration, Vehicle
 from .balance import trim_of
 from .estimates import UNDETERMINED
@@ -27,8 +27,6 @@ from .inference.selection import days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import Payloads, with_effects
 from .settings import DEFAULT, InferenceSettings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,12 +20,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 from scipy.stats import norm
 
 from ..effects import EFFECTS, prior_of
 from ..effects.parameters import COMMON
+from ..residuals.channels import Array
 from .balance import ROPE, Hypothesis
 from .inference.fit import INTERVAL, Fit, Problem
 from .inference.posterior import Posterior
@@ -33,7 +33,6 @@ from .inference.selection import Naming
 from .model.model import Model
 from .model.numbers import Number
 
-Array = NDArray[np.float64]
 WIND = frozenset(e.name for e in EFFECTS.values() if e.of_weather and e.component == "airframe")
 """Effects that are a constant wind throughout the flight."""
 ACTING = frozenset(

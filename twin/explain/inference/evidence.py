@@ -27,12 +27,12 @@ from scipy.linalg.lapack import dpotri
 from scipy.optimize import lsq_linear
 
 from ...representation import ShortRepr
+from ...residuals.channels import Array
 from .instruments import InstrumentNoise
 from .noise import BandNoise
 from .priors import Bounds, Priors
 from .spectrum import Rows, Spectrum
 
-Array = NDArray[np.float64]
 STEPS, HALVINGS = 15, 5
 """Maximum number of steps to the optimum, and of halvings of a step."""
 SETTLED = 0.02

@@ -12,15 +12,13 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Shift, prior_of
 from ...representation import ShortRepr
+from ...residuals.channels import Array
 from .evidence import LaplaceEvidence, MapEstimate
 from .fit import Problem, State
 from .priors import effect_of
-
-Array = NDArray[np.float64]
 
 Tried = dict[tuple[tuple[str, ...], float], float]
 """Log posterior of every candidate model that was fitted, by its effects and the factor on

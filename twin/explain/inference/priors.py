@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from ...effects import EFFECTS, EffectParameter, Shift, prior_of
 from ...errors import ModelError
 from ...representation import ShortRepr
+from ...residuals.channels import Array
 from ...vehicle import Vehicle, relative_deviation
 from ..model.model import Model
 from ..model.numbers import Number
-
-Array = NDArray[np.float64]
 
 UNCALIBRATED = (
     "{}: holds no [calibration], so what has changed since cannot be told; make one by `uavtwin "

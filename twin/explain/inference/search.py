@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects import EFFECTS, prior_of
 from ...effects.parameters import LAST, UNMEASURED
+from ...residuals.channels import Array
 from .evidence import LaplaceEvidence
 from .fit import Problem, State
 from .posterior import (
@@ -27,8 +27,6 @@ from .posterior import (
 )
 from .priors import Priors, effect_of
 from .valley import hidden_starts
-
-Array = NDArray[np.float64]
 
 Exchange = tuple[frozenset[str], frozenset[str], float]
 """Added effects, removed effects, and the factor on day-to-day variation."""
@@ -142,12 +140,12 @@ def search(
 
 def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: bool) -> State | None:
     """A better state; None where there is none; `last` as of `search`."""
-    state, tried, begun = at.state, at.tried, at.begun
+    state, tried = at.state, at.tried
     effects = state.effects  # no second clock is sought where one is present
     no_clock = [(tuple(a for a in effects if a != e), None) for e in effects if is_time(e)]
     better = (
-        _better(problem, laplace, state, tried, at.again, at.short)
-        or _followed(problem, laplace, state, tried, begun, MIN_GAIN)
+        _better(problem, laplace, at)
+        or _followed(problem, laplace, at, MIN_GAIN)
         or _verified(problem, laplace, state, tried, no_clock)
         or _verified(problem, laplace, state, tried, _clocks(problem, laplace, state))
     )
@@ -156,14 +154,14 @@ def _move(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, last: boo
     return (
         _verified(problem, laplace, state, {}, _unsettled(laplace, state))
         or _verified(problem, laplace, state, {}, _late(problem, laplace, state, at.late))
-        or _uncovered(problem, laplace, state, at.sought)
+        or _uncovered(problem, laplace, at)
         or _verified(problem, laplace, state, tried, _weak(laplace, state))
         or _verified(problem, laplace, state, tried, _alone(state))
         or _verified(problem, laplace, state, tried, _mistaken(problem, state))
         or _verified(problem, laplace, state, {}, _mounted(problem, laplace, state))
         or _verified(problem, laplace, state, tried, _likelier(problem, laplace, state, tried))
-        or _restarted(problem, state, tried, begun)
-        or _followed(problem, laplace, state, tried, begun, -np.inf)
+        or _restarted(problem, at)
+        or _followed(problem, laplace, at, -np.inf)
     )
 
 
@@ -201,20 +199,14 @@ def calibration_start(priors: Priors) -> list[str]:
     ]
 
 
-def _better(
-    problem: Problem,
-    laplace: LaplaceEvidence,
-    state: State,
-    tried: Tried,
-    again: set[tuple[tuple[str, ...], float]],
-    short: dict[Exchange, float],
-) -> State | None:
+def _better(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint) -> State | None:
     """A better neighbour after fitting; None where there is none.
 
     A model already fitted, with less evidence than predicted now, is fitted once again: the result
     of a fit depends on its start. An exchange of effects that fell short of its predicted gain,
-    from whatever model, is not tried again unless it predicts more than that: `short`.
+    from whatever model, is not tried again unless it predicts more than that.
     """
+    state, now = at.state, log_posterior(at.state)
     candidates = neighbours(problem, laplace, state.effects, state.kappa)
     ahead = _ahead(problem, laplace, state.effects, candidates)
     queue = [*([ahead] if ahead else []), *_different(candidates, state.effects)]
@@ -223,37 +215,35 @@ def _better(
     for move in queue:
         key, there = (move.effects, move.kappa), frozenset(move.effects)
         exchange = there - on, on - there, move.kappa
-        if move.gain < short.get(exchange, 0.0) + MIN_GAIN:
+        if move.gain < at.short.get(exchange, 0.0) + MIN_GAIN:
             continue
-        if key in tried:
-            if key in again or tried[key] > log_posterior(state) + move.gain - SHORT:
+        if key in at.tried:
+            if key in at.again or at.tried[key] > now + move.gain - SHORT:
                 continue
-            again.add(key)
-        now = log_posterior(state)
+            at.again.add(key)
         found = problem.settle(move.effects, move.kappa, laplace.spectrum, state.best.x, now)
-        tried[key] = max(log_posterior(found), tried.get(key, -np.inf))
+        at.tried[key] = max(log_posterior(found), at.tried.get(key, -np.inf))
         gained = log_posterior(found) - now
         if gained > MIN_GAIN:
             return found
-        short[exchange] = move.gain - gained
+        at.short[exchange] = move.gain - gained
         fitted += 1
         if fitted == TRIED:
             break
     return None
 
 
-def _restarted(
-    problem: Problem, state: State, tried: Tried, begun: set[tuple[str, ...]]
-) -> State | None:
+def _restarted(problem: Problem, at: SearchPoint) -> State | None:
     """The model fitted again from its prior means, once: during the search day-to-day deviations
     may have represented effects that were not present yet, and stay there."""
-    if state.effects in begun:
+    state = at.state
+    if state.effects in at.begun:
         return None
-    begun.add(state.effects)
+    at.begun.add(state.effects)
     there = problem.start(state.effects, state.kappa, log_posterior(state))
     if log_posterior(there) <= log_posterior(state) + SHORT:
         return None
-    tried[state.effects, state.kappa] = log_posterior(there)
+    at.tried[state.effects, state.kappa] = log_posterior(there)
     return there
 
 
@@ -286,8 +276,7 @@ def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Tr
     for old in present:
         rest = tuple(e for e in state.effects if e != old)
         known = [e for e in absent if laplace.share_a_channel(old, e) and not laplace.silent(e)]
-        x = state.best.x
-        sets += [(tuple(sorted((*rest, c))), _with_expected(problem, x, c)) for c in known]
+        sets += [_with_expected(problem, state, rest, c) for c in known]
     return sets
 
 
@@ -301,12 +290,11 @@ def _unsettled(laplace: LaplaceEvidence, state: State) -> list[Trial]:
 def _late(problem: Problem, laplace: LaplaceEvidence, state: State, begun: set[str]) -> list[Trial]:
     """The model with each absent delay or lag, from its prior mean, once: beyond a quarter of a
     period of the motion, no slope at zero delay leads there."""
-    odds, x = problem.priors.odds, state.best.x
-    known = {*state.effects, *begun}
+    odds, known = problem.priors.odds, {*state.effects, *begun}
     absent = [c for c in problem.priors.causes if is_time(c) and c not in known]
     late = [c for c in absent if odds[c] > LAST and not laplace.silent(c)]
     begun |= {*late}
-    return [(tuple(sorted((*state.effects, c))), _with_expected(problem, x, c)) for c in late]
+    return [_with_expected(problem, state, state.effects, c) for c in late]
 
 
 def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:
@@ -346,18 +334,12 @@ def _mistaken(problem: Problem, state: State) -> list[Trial]:
         for other in EFFECTS[effect_of(c)].mistaken_for:
             if other in on:
                 rest = [e for e in state.effects if e != other]
-                x = _with_expected(problem, state.best.x, c)
-                sets.append((tuple(sorted((*rest, c))), x))
+                sets.append(_with_expected(problem, state, rest, c))
     return sets
 
 
 def _followed(
-    problem: Problem,
-    laplace: LaplaceEvidence,
-    state: State,
-    tried: Tried,
-    begun: set[tuple[str, ...]],
-    least: float,
+    problem: Problem, laplace: LaplaceEvidence, at: SearchPoint, least: float
 ) -> State | None:
     """The model with an effect whose states an observer estimates, if it promises at least so many
     nats more than it gains by following noise; None where none is better.
@@ -366,9 +348,9 @@ def _followed(
     reject it too early. They follow what no other effect explains, so they stay small where others
     represent this effect already: all numbers start at their prior means, beside all other effects;
     where the effect is present already, also beside only those that do not act on the same
-    readings. `begun` contains the models fitted so.
+    readings.
     """
-    best = state
+    best = state = at.state
     for c in problem.priors.causes:
         if EFFECTS[effect_of(c)].observer is None:
             continue
@@ -378,26 +360,25 @@ def _followed(
             continue
         apart = tuple(e for e in on if e == c or not laplace.share_a_channel(e, c))
         for trial in dict.fromkeys((on, apart) if c in state.effects else (on,)):
-            if trial in begun:
+            if trial in at.begun:
                 continue
-            begun.add(trial)
+            at.begun.add(trial)
             there = problem.start(trial, state.kappa, log_posterior(best))
             key = trial, state.kappa
-            tried[key] = max(log_posterior(there), tried.get(key, -np.inf))
+            at.tried[key] = max(log_posterior(there), at.tried.get(key, -np.inf))
             best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best
     return None if best is state else best
 
 
-def _uncovered(
-    problem: Problem, laplace: LaplaceEvidence, state: State, sought: set[tuple[str, ...]]
-) -> State | None:
+def _uncovered(problem: Problem, laplace: LaplaceEvidence, at: SearchPoint) -> State | None:
     """The model with an effect that another one masks, see `valley`: sought once while it is
     absent, and once near each model with it, which may be elsewhere in its valley."""
+    state = at.state
     observed = {c for c in problem.priors.causes if EFFECTS[effect_of(c)].observer is not None}
     key = state.effects if observed & {*state.effects} else ()
-    if key in sought:
+    if key in at.sought:
         return None
-    sought.add(key)
+    at.sought.add(key)
     least = log_posterior(state)
     starts = hidden_starts(problem, laplace, state)
     fits = (problem.loosened(on, state.kappa, laplace.spectrum, x, least) for on, x in starts)
@@ -445,13 +426,13 @@ def _verified(
     return None if best is state else best
 
 
-def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
-    """Numbers with those of an effect at their prior means, or half a standard deviation off."""
-    b, own = problem.priors, problem.priors.of([effect])
-    x = x.copy()
+def _with_expected(problem: Problem, state: State, rest: Sequence[str], effect: str) -> Trial:
+    """A model with one more effect, its numbers at their prior means, or half a standard deviation
+    off."""
+    b, own, x = problem.priors, problem.priors.of([effect]), state.best.x.copy()
     x[own] = np.where(b.mean[own] != b.now[own], b.mean[own], b.now[own] + b.slab[own] / 2)
     x[own] = np.clip(x[own], b.low[own], b.high[own]) - b.now[own]
-    return x
+    return tuple(sorted((*rest, effect))), x
 
 
 def neighbours(

@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects import EFFECTS, FAMILIES, Family
 from ...logs import Flight
@@ -42,9 +41,6 @@ from .search import (
 from .spectrum import force_shares
 from .valley import leaves_motion
 from .whitening import WhitenedFlights
-
-Array = NDArray[np.float64]
-
 
 Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
 

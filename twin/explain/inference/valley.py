@@ -17,15 +17,14 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects import EFFECTS
+from ...residuals.channels import Array
 from .evidence import LaplaceEvidence
 from .fit import Problem, State
 from .priors import effect_of
 from .spectrum import OF_POSE, Spectrum
 
-Array = NDArray[np.float64]
 Start = tuple[tuple[str, ...], Array]
 """A candidate model, and its initial numbers, as `MapEstimate.x`."""
 SIZES, PIVOT = np.geomspace(0.18, 1.4, 7), 0.5

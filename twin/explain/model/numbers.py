@@ -4,11 +4,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Average, Displacement, Effect, EffectParameter, Equation, Shift
 from ...logs import AnyFlight, Flight
-from ...logs.columns import ACC_NED, MIN_MOTORS, POS, QUAT, VEL, motor_columns
+from ...logs.columns import ACC_NED, MIN_MOTORS, POS, QUAT, VEL, Array, motor_columns
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import ShortRepr
 from ...vehicle import Vehicle
@@ -22,7 +21,6 @@ def carrying(vehicle: Vehicle, payload_kg: float) -> Vehicle:
     return replace(vehicle, mass_kg=vehicle.mass_kg + payload_kg)
 
 
-Array = NDArray[np.float64]
 STEPS = 30.0
 """Number of difference steps over the range of a number."""
 SIGNALS: dict[str, tuple[str, ...]] = {
