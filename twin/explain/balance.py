@@ -31,10 +31,11 @@ from scipy.stats import norm
 from ..effects import EFFECTS
 from ..logs.columns import ACC, ACC_NED
 from ..representation import ShortRepr
-from ..residuals.channels import Array, ChannelData
+from ..residuals.channels import Array
 from ..vehicle import Vehicle
 from .inference.detection import POWER_95, Detectable
 from .inference.fit import INTERVAL
+from .inference.spectrum import Flights
 from .model.model import FlightModel, Model
 from .model.numbers import numbers_of
 from .stochastic.spectral import StochasticEffect, pieces_of, rate_of
@@ -151,7 +152,7 @@ def trim_of(
     )
 
 
-def _carried(flights: Sequence[Sequence[ChannelData]]) -> float:
+def _carried(flights: Flights) -> float:
     """Measured over predicted specific force along the thrust, M / (M + m) for an aircraft that
     carries m: slopes of T / (M + m) by m at m = 0 times this ratio give m exactly."""
     measured, left = (
@@ -240,9 +241,7 @@ class Balance(ShortRepr):
 
     def lost_by(self, rotor: int) -> float:
         """Probability that a rotor, from 1, has lost thrust, alone or with another."""
-        return sum(
-            h.probability for h in self.hypotheses if h.cause == ROTORS and rotor in h.rotors
-        )
+        return sum(h.probability for h in self.hypotheses if rotor in h.rotors)
 
     @property
     def changed(self) -> float:

@@ -75,8 +75,8 @@ def suggestions(
     """Discrimination between two explanations, see `_rivals`, by each manoeuvre, or by each of
     `among`, the best first."""
     block_s = naming.whitened.settings.block_s
-    rivals, flights = _rivals(naming), _flights(naming)
-    listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
+    rivals, flights = _rivals(naming), [m.flight for m in naming.whitened.model.flights]
+    listed = [m for m in _flyable(rivals, flights, vehicle) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
     held = [_held(naming, f) for f in rivals]
     rounds = [(i, *k) for i in (0, 1) for k in sorted({(m.voltage, m.payload_kg) for m in listed})]
@@ -165,19 +165,14 @@ def _columns(model: Model, fitted: Fit) -> list[int]:
 # -- flying ---------------------------------------------------------------------------------
 
 
-def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
+def _flyable(rivals: Sequence[Fit], flights: Sequence[Flight], vehicle: Vehicle) -> list[Manoeuvre]:
     """Manoeuvres that differ from each other for this vehicle: the battery ones only where its
     voltage matters."""
-    flights = _flights(naming)
     charged = volts_of(flights, vehicle) >= vehicle.voltage_v
     listed = manoeuvres(vehicle, charged)
-    effects = {e for f in _rivals(naming) for e in f.effects} | {*vehicle.effects}
+    effects = {e for f in rivals for e in f.effects} | {*vehicle.effects}
     voltage_matters = vehicle.rotors.reference_voltage_v is not None
     voltage_matters = voltage_matters or any("vbat" in EFFECTS[e].needs for e in effects)
     if voltage_matters and all(f.has("vbat_v") for f in flights):
         return list(listed)
     return [m for m in listed if m.voltage == 1]
-
-
-def _flights(naming: Naming) -> list[Flight]:
-    return [m.flight for m in naming.whitened.model.flights]

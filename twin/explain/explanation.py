@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -249,8 +250,8 @@ def explain(
     progress(0.65)
     found = _with_equations(found, seed)
     progress(0.75)
-    found = _with_gap(found, held, seed, payloads)
-    found = _without_refuted(found, held, seed, payloads)
+    gap = partial(_with_gap, held=held, seed=seed, payloads=payloads)
+    found = _without_refuted(gap(found), seed, gap)
     progress(0.85)
     if suggest and found.verdict in ("named", "cannot_tell"):
         found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle))
@@ -533,7 +534,7 @@ def _stands(naming: Naming) -> Fit:
 
 
 def _without_refuted(
-    found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
+    found: Explanation, seed: int, with_gap: Callable[[Explanation], Explanation]
 ) -> Explanation:
     """The explanation without effects that improve the fit but not the held-out flights; no effect
     with a mean is named where this holds for each of them, or for all together."""
@@ -547,28 +548,24 @@ def _without_refuted(
     no_mean = any(u.effect not in CAUSES for u in found.stochastic)
     left = no_mean or not alike or {*naming.named} - {r.effect for r in alike}
     if alike and left:
-        found = _taken_back(found, alike, held, seed, payloads)
+        found = _taken_back(found, alike, with_gap)
     if left and not (found.comparison and found.comparison.worse):
         return found
     rest = [Resemblance(e, FARTHER) for e in own if not refuted[e]]
     if no_mean and rest:
-        return _taken_back(found, rest, held, seed, payloads)
+        return _taken_back(found, rest, with_gap)
     warnings = (FARTHER, *found.warnings)
     return replace(found, verdict="cannot_tell", refuted=FARTHER, warnings=warnings)
 
 
 def _taken_back(
-    found: Explanation,
-    alike: Sequence[Resemblance],
-    held: Sequence[Flight],
-    seed: int,
-    payloads: Payloads | None,
+    found: Explanation, alike: Sequence[Resemblance], with_gap: Callable[[Explanation], Explanation]
 ) -> Explanation:
     """The explanation without effects that the cause only resembles, and the gap without them."""
     naming, compared = found.naming, found.comparison
     assert naming is not None and compared is not None
     rest = tuple(w for w in found.warnings if w not in compared.warnings)
-    return _with_gap(_as_named(replace(found, warnings=rest), naming, alike), held, seed, payloads)
+    return with_gap(_as_named(replace(found, warnings=rest), naming, alike))
 
 
 def _with_gap(

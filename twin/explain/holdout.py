@@ -122,7 +122,6 @@ class Comparison(ShortRepr):
         model: Predictions of the held-out flights.
         before: Channels of each flight with the nominal model.
         after: Channels of each flight with the effects added.
-        on_its_day: Channels of each flight with the effects added and the constants of its own day.
         best: Channels of each flight with every effect of the library, fitted to these very
             flights.
     """
@@ -131,7 +130,6 @@ class Comparison(ShortRepr):
     model: Model
     before: Flights
     after: Flights
-    on_its_day: Flights
     best: Flights
 
     @property
@@ -194,7 +192,7 @@ def compare_holdout(
         own = [[f[i] for f in flights] for flights in (before, after, daily, best)]
         gaps.append(_gap(own, (means or {}).get(channel.name), seed, settings))
     gaps.sort(key=lambda g: not g.worse)
-    return Comparison(tuple(gaps), model, before, after, daily, best)
+    return Comparison(tuple(gaps), model, before, after, best)
 
 
 def _numbers(problem: Problem, values: Mapping[str, float]) -> Array:
@@ -236,9 +234,7 @@ def _best(problem: Problem, x: Array, linear: Flights) -> list[list[ChannelData]
     return left
 
 
-def _gap(
-    own: Sequence[Sequence[ChannelData]], mean: float | None, seed: int, settings: HoldoutSettings
-) -> ChannelGap:
+def _gap(own: Flights, mean: float | None, seed: int, settings: HoldoutSettings) -> ChannelGap:
     """Gap of one channel, from its residuals in each flight: before, after, with its day, and with
     the best numbers."""
     before = own[0]
@@ -439,14 +435,11 @@ class Attribution(ShortRepr):
     effect: str
     channels: tuple[str, ...]
     phases: tuple[str, ...]
-    without: Sequence[Sequence[ChannelData]]
+    without: Flights
 
 
 def attribute_effect(
-    effect: str,
-    model: Model,
-    values: Mapping[str, float],
-    with_all: Sequence[Sequence[ChannelData]],
+    effect: str, model: Model, values: Mapping[str, float], with_all: Flights
 ) -> Attribution:
     """Channels and phases in which an effect acts, given the numbers of all added effects and the
     channels with them."""
@@ -477,12 +470,7 @@ def farther_by(
     return [g.name for g in gaps if g.worse and farther > 0]
 
 
-def _phases(
-    name: str,
-    model: Model,
-    without: Sequence[Sequence[ChannelData]],
-    with_all: Sequence[Sequence[ChannelData]],
-) -> tuple[str, ...]:
+def _phases(name: str, model: Model, without: Flights, with_all: Flights) -> tuple[str, ...]:
     """Phases in which an effect changes a channel most."""
     i = next(i for i, c in enumerate(with_all[0]) if c.name == name)
     phase, change = [], []

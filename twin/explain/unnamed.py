@@ -22,6 +22,7 @@ from .inference.sparse_regression import (
     sparse,
     terms,
 )
+from .inference.spectrum import Flights
 from .inference.whitening import (
     Autoregression,
     Block,
@@ -260,7 +261,7 @@ def _with_columns(
     return columns, made
 
 
-def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> tuple[float, ...]:
+def _tones(left: Flights, settings: UnnamedSettings) -> tuple[float, ...]:
     """The frequency with most power in force, and that in rotation, Hz."""
     found = []
     for sensor in (s for s in SENSORS if s.group == BODY):
@@ -270,7 +271,7 @@ def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> 
     return tuple(found)
 
 
-def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, float]) -> float:
+def _tone(channels: Flights, between_hz: tuple[float, float]) -> float:
     """Frequency whose sine and cosine, from the start of each flight, explain most, Hz.
 
     Residuals are differenced, so that drift does not hide an oscillation, and divided by their rms.

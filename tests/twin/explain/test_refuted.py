@@ -79,7 +79,7 @@ def test_what_has_no_mean_is_not_refuted_by_means(
         comparison=cast(Comparison, SimpleNamespace(after=(), worse=True, warnings=())),
         attributions=tuple(Attribution(e, (), (), []) for e in ("lag", "scale")),
     )
-    assert explanation._without_refuted(found, [], 0, None).verdict == verdict
+    assert explanation._without_refuted(found, 0, lambda same: same).verdict == verdict
     assert taken == ["lag", "scale"] * bool(shaken)
 
 

@@ -201,9 +201,8 @@ class Naming(ShortRepr):
     def _is_sure(self, effect: str) -> bool:
         if any(r.effect == effect for r in self.resemblances) or self._may_be_none(effect):
             return False
-        return self.joint_probability([effect]) >= self.settings.sure * self.credible.get(
-            effect, 1.0
-        )
+        believed = self.credible.get(effect, 1.0)
+        return self.joint_probability([effect]) >= self.settings.sure * believed
 
     def _may_be_none(self, effect: str) -> bool:
         """Whether every reported interval of its numbers contains no effect."""

@@ -5,7 +5,7 @@ of each uninterrupted piece preserves sums of squares, and separates frequencies
 flight is a band of its own, of one sample: it contains trims and day-to-day offsets.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -74,27 +74,35 @@ class Spectrum(ShortRepr):
         rows = tuple(tuple(_rows(f[i]) for f in flights) for i in range(len(names)))
         return cls(names, rows, theta, days, day_columns)
 
-    def moved(self, flights: Flights, theta: Array, days: Array) -> "Spectrum":
-        """The same slopes with residuals at other values."""
-        rows = tuple(
-            tuple(
-                replace(r, residual=transformed(f[i], f[i].residual[:, None])[0][:, 0])
-                for r, f in zip(own, flights, strict=True)
-            )
+    def _changed(
+        self, change: Callable[[Rows, ChannelData], Rows], flights: Flights
+    ) -> tuple[tuple[Rows, ...], ...]:
+        """The rows, each changed by its channel."""
+        return tuple(
+            tuple(change(r, f[i]) for r, f in zip(own, flights, strict=True))
             for i, own in enumerate(self.rows)
         )
-        return replace(self, rows=rows, theta=theta, days=days)
+
+    def moved(self, flights: Flights, theta: Array, days: Array) -> "Spectrum":
+        """The same slopes with residuals at other values."""
+
+        def at(rows: Rows, channel: ChannelData) -> Rows:
+            residual = transformed(channel, channel.residual[:, None])[0][:, 0]
+            return replace(rows, residual=residual)
+
+        return replace(self, rows=self._changed(at, flights), theta=theta, days=days)
 
     def renewed(self, flights: Flights, columns: NDArray[np.intp]) -> "Spectrum":
         """The same residuals with the slopes of some columns recomputed."""
-        rows = tuple(
-            tuple(
-                _with_slopes(r, len(self.theta), columns, transformed(f[i], f[i].slopes)[0])
-                for r, f in zip(own, flights, strict=True)
-            )
-            for i, own in enumerate(self.rows)
-        )
-        return replace(self, rows=rows)
+
+        def again(rows: Rows, channel: ChannelData) -> Rows:
+            full = np.zeros((len(rows.residual), len(self.theta)))
+            full[:, rows.active] = rows.slopes
+            full[:, columns] = transformed(channel, channel.slopes)[0]
+            active = np.flatnonzero(np.any(full != 0, axis=0))
+            return replace(rows, active=active, slopes=full[:, active])
+
+        return replace(self, rows=self._changed(again, flights))
 
     def only(self, columns: NDArray[np.intp]) -> "Spectrum":
         """The spectrum with the slopes of some columns only."""
@@ -112,17 +120,12 @@ class Spectrum(ShortRepr):
         """The spectrum with additional columns, for numbers that are 0 here: all slopes of some
         channels."""
         k = len(self.theta) + np.arange(flights[0][0].slopes.shape[1])
-        rows = tuple(
-            tuple(
-                replace(
-                    r,
-                    active=np.append(r.active, k),
-                    slopes=np.hstack([r.slopes, transformed(f[i], f[i].slopes)[0]]),
-                )
-                for r, f in zip(own, flights, strict=True)
-            )
-            for i, own in enumerate(self.rows)
-        )
+
+        def wider(rows: Rows, channel: ChannelData) -> Rows:
+            slopes = np.hstack([rows.slopes, transformed(channel, channel.slopes)[0]])
+            return replace(rows, active=np.append(rows.active, k), slopes=slopes)
+
+        rows = self._changed(wider, flights)
         return replace(self, rows=rows, theta=np.append(self.theta, 0.0 * k))
 
     def power(self) -> dict[tuple[int, int], tuple[float, int]]:
@@ -141,14 +144,6 @@ def _rows(channel: ChannelData) -> Rows:
     values, band = transformed(channel, both)
     active = np.flatnonzero(np.any(values[:, 1:] != 0, axis=0))
     return Rows(band, values[:, 0], active, values[:, 1 + active])
-
-
-def _with_slopes(rows: Rows, width: int, columns: NDArray[np.intp], slopes: Array) -> Rows:
-    full = np.zeros((len(rows.residual), width))
-    full[:, rows.active] = rows.slopes
-    full[:, columns] = slopes
-    active = np.flatnonzero(np.any(full != 0, axis=0))
-    return replace(rows, active=active, slopes=full[:, active])
 
 
 def transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:

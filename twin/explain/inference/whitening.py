@@ -16,8 +16,8 @@ from ...residuals.channels import Array, ChannelData
 from ..model.model import Model
 from ..settings import DEFAULT, LikelihoodSettings
 from .noise import rounding_variance
+from .spectrum import Flights
 
-Flights = Sequence[Sequence[ChannelData]]
 Key = tuple[int, int]
 """Flight and index of the time block in it."""
 

@@ -477,10 +477,7 @@ def _force_as_logged(q_nb: Array, numbers: Sequence[Number], force_b: Array, the
     off_rad = float(sum(v for n, v in zip(numbers, theta, strict=True) if n.turns_pose))
     if not (place_s or turn_s or off_rad):
         return force_b
-    q_then = shifted(q_nb, -turn_s)
-    q_then /= np.linalg.norm(q_then, axis=1, keepdims=True)
-    force_n = np.stack(to_ned(list(q_then.T), list(force_b.T)), axis=-1)
-    north, east, down = shifted(force_n, place_s).T
+    north, east, down = shifted(in_ned(shifted(q_nb, -turn_s), force_b), place_s).T
     c, s = np.cos(off_rad), np.sin(off_rad)
     return in_body(q_nb, np.stack([c * north + s * east, c * east - s * north, down], axis=-1))
 

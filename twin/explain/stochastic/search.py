@@ -290,12 +290,8 @@ def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Ar
     assert aligned.motion.velocity is not None
     column = {s.name: i for i, s in enumerate(aligned.airframe.states)}
     q, v, w = (
-        aligned.states[at][:, [column[n] for n in names]]
-        for names in (
-            [f"q_{a}" for a in "wxyz"],
-            [f"vel_{a}" for a in "xyz"],
-            [f"omega_{a}" for a in "xyz"],
-        )
+        aligned.states[at][:, [column[f"{stem}_{a}"] for a in axes]]
+        for stem, axes in (("q", "wxyz"), ("vel", "xyz"), ("omega", "xyz"))
     )
     body = np.stack(to_body(list(q.T), list(v.T)), axis=-1)
     size = np.linalg.norm(body, axis=1, keepdims=True)
