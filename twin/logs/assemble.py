@@ -73,6 +73,7 @@ class FlightBuilder:
         begin: Event at time 0.
         signals: Columns that are sampled together, their times, us, shape (n,), and values.
         t_us: Times of the rows of the table, shape (n,), once they are known.
+        filter_delays_s: As of `Flight`.
     """
 
     log: FindingCollector
@@ -81,6 +82,7 @@ class FlightBuilder:
     begin: str = "the log began"
     signals: list[tuple[tuple[str, ...], NDArray[np.int64], Array]] = field(default_factory=list)
     t_us: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    filter_delays_s: dict[str, float] = field(default_factory=dict)
 
     def add(
         self, where: str, names: tuple[str, ...], t_us: NDArray[np.int64], values: Array
@@ -120,11 +122,12 @@ class FlightBuilder:
         """Delay of the low-pass applied to a signal before logging, us; a finding reports it.
 
         Args:
-            where: Name of the signal.
+            where: Name of the signal, and of its columns.
             cutoff_hz: Cut-off of the second-order Butterworth low-pass.
             source: Parameter that states the cut-off.
         """
         delay_us = filter_delay_us(cutoff_hz)
+        self.filter_delays_s[where] = delay_us * 1e-6
         self.log.note(
             "info",
             where,
@@ -195,6 +198,7 @@ class FlightBuilder:
             site=site,
             airframe=airframe,
             autopilot=autopilot,
+            filter_delays_s=self.filter_delays_s,
         )
 
 

@@ -109,6 +109,8 @@ class Notes:
             (`twin.logs.attitude`).
         speeds_late_s: Correction of the late time stamps of rotor speeds, s
             (`twin.logs.rotor_lag`): the link that delayed the speeds has also smoothed them.
+        filter_delays_s: Delay of the low-pass that readings passed before they were logged, s, by
+            signal, where their time stamps are corrected for it.
     """
 
     facts: dict[str, str] = field(default_factory=dict)
@@ -119,6 +121,7 @@ class Notes:
     settled: Settled | None = None
     derived_angles: tuple[str, ...] = ()
     speeds_late_s: float = 0.0
+    filter_delays_s: dict[str, float] = field(default_factory=dict)
 
     @property
     def notes(self) -> dict[str, Any]:

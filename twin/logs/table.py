@@ -74,6 +74,8 @@ def _check(notes: Notes) -> None:
     layout = None if notes.airframe is None else notes.airframe.layout
     if not 0.0 <= notes.speeds_late_s < np.inf:
         raise ValueError("a delay that is none")
+    if not all(0.0 <= d < np.inf for d in notes.filter_delays_s.values()):
+        raise ValueError("a filter with a delay that is none")
     if any(f.count < 1 for f in notes.findings):
         raise ValueError("a finding is counted less than once")
     if layout is not None:

@@ -89,6 +89,7 @@ class Measured(ShortRepr):
         names: Names of its channels.
         unit: Unit of its channels.
         sensor_hz: Low-pass of the sensor, which a prediction has not passed; None: there is none.
+        early_s: Delay of that low-pass for which the readings are corrected.
         bands_hz: Low-passes of readings and prediction, in order.
         rows: Grid points of each uninterrupted piece.
         settle: Grid points at the start of a piece in which the filters settle.
@@ -101,6 +102,7 @@ class Measured(ShortRepr):
     names: tuple[str, ...]
     unit: str
     sensor_hz: float | None
+    early_s: float
     bands_hz: tuple[float, ...]
     rows: tuple[NDArray[np.intp], ...]
     settle: int
@@ -134,7 +136,7 @@ class Measured(ShortRepr):
     ) -> Array:
         retained = []
         for rows in self.rows:
-            part = sensed(values[rows[0] : rows[-1] + 1], sensor_hz)
+            part = sensed(values[rows[0] : rows[-1] + 1], sensor_hz, self.early_s)
             for cutoff in bands_hz:
                 part = low_pass(part, cutoff)
             retained.append(part[self.settle :: every])
@@ -173,6 +175,7 @@ def measured(
     nyquist_hz: float,
     together: bool = False,
     passes: int = 1,
+    early_s: float = 0.0,
 ) -> Measured | None:
     """Filter readings on the grid; None where no piece of them is long enough.
 
@@ -189,6 +192,7 @@ def measured(
         together: Whether the retained rows are a subset of those of every other sensor with these
             filters, wherever both are known.
         passes: Number of passes of that low-pass over readings and prediction.
+        early_s: As of `Measured`.
     """
     pieces = _pieces(known & np.all(np.isfinite(values), axis=1))
     if not pieces:
@@ -203,6 +207,7 @@ def measured(
         names=tuple(names),
         unit=unit,
         sensor_hz=sensor_hz,
+        early_s=early_s,
         bands_hz=(band_hz,) * passes,
         rows=tuple(pieces),
         settle=settle,
@@ -228,7 +233,7 @@ def low_pass(values: Array, cutoff_hz: float) -> Array:
     return _passed(values, cutoff_hz, prewarped=True)
 
 
-def sensed(values: Array, cutoff_hz: float | None) -> Array:
+def sensed(values: Array, cutoff_hz: float | None, early_s: float = 0.0) -> Array:
     """What a sensor with a second-order Butterworth low-pass reads of a signal with these values,
     initialised on the first value.
 
@@ -239,8 +244,13 @@ def sensed(values: Array, cutoff_hz: float | None) -> Array:
     Args:
         values: Values on the grid, shape (n, ...).
         cutoff_hz: Cutoff; None: there is no low-pass.
+        early_s: Delay of the low-pass for which the time stamps of the readings are corrected; the
+            last readings are held.
     """
-    return values if cutoff_hz is None else _passed(values, cutoff_hz, prewarped=False)
+    if cutoff_hz is None:
+        return values
+    passed = _passed(values, cutoff_hz, prewarped=False)
+    return shifted(passed, -early_s) if early_s else passed
 
 
 def sensor_lag(cutoff_hz: float | None) -> float:
@@ -498,6 +508,7 @@ def _readings(
         sensor.cutoff_hz(vehicle),
         rate_hz / 2,
         together,
+        early_s=flight.filter_delays_s.get(sensor.signal, 0.0),
     )
 
 

@@ -81,6 +81,7 @@ class RecentFlight(Flight):
         of_flight: dict[str, Any] = {"name": name, "findings": (), "facts": {}, "settled": settled}
         of_flight |= dict.fromkeys(("source", "site", "autopilot"))
         of_flight |= {"airframe": airframe, "speeds_late_s": 0.0, "derived_angles": ()}
+        of_flight |= {"filter_delays_s": {}}
         for key, value in {**of_flight, "_by": rows, "_known": known}.items():
             object.__setattr__(self, key, value)
 

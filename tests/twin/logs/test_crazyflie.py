@@ -39,6 +39,7 @@ def test_a_flight_comes_back_in_si_ned_and_frd(
         _read(tmp_path, usd_log(flown_kinds(flown_table(), small, angles), version)),
         flown_table(),
     )
+    assert flight.filter_delays_s == DELAY_S
     for group, within in (("acc", 1e-5), ("gyro", 1e-5), ("pos", 6e-4), ("vel", 6e-4)):
         columns = [f"{group}_{a}" for a in "xyz"]
         t, values = flight.signal(columns)

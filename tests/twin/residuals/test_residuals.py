@@ -232,4 +232,7 @@ def test_a_sensor_lags_as_its_analog_low_pass_does(cutoff_hz: float) -> None:
     off = (sensed(signal[::fine], cutoff_hz) - read)[round(GRID_HZ) :]  # the filters have settled
     assert np.std(off) < 0.005 * np.std(read)
     ramp = np.arange(400.0)[:, None] / GRID_HZ
-    np.testing.assert_allclose((ramp - sensed(ramp, cutoff_hz))[-1], sensor_lag(cutoff_hz))
+    lag_s = sensor_lag(cutoff_hz)
+    np.testing.assert_allclose((ramp - sensed(ramp, cutoff_hz))[-1], lag_s)
+    corrected = sensed(ramp, cutoff_hz, lag_s)[200:-20]  # of readings that a reader corrects
+    np.testing.assert_allclose(corrected, ramp[200:-20], atol=1e-6)

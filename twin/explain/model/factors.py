@@ -365,7 +365,10 @@ def pose_factors(context: FlightContext, force: Array) -> list[SensorFactor]:
         names = tuple(f"pose_{c}" for c in kind.columns)
         taken = sampled(values[:, :, None])[:, :, 0]
         known_too = known & np.all(np.isfinite(sampled(there)), axis=(1, 2))  # at any numbers
-        readings = measured(names, kind.unit, t, taken, known_too, *bands, passes=POSE_PASSES)
+        early_s = flight.filter_delays_s.get(kind.signal, 0.0)
+        readings = measured(
+            names, kind.unit, t, taken, known_too, *bands, passes=POSE_PASSES, early_s=early_s
+        )
         if readings is None:
             continue
         reach = reaching(kind.component) | moving(context, (*PLACE, *TURN, kind.signal))

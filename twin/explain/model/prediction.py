@@ -546,8 +546,9 @@ class Trajectory:
         excess, lag = np.zeros_like(force), age_of(self._numbers, theta, (ACCELEROMETER,))
         if self._flight.has(*ACC):
             cutoff = vehicle.accel_cutoff_hz
-            shown = shifted(reading, lag) if lag else reading
-            shown, lag = sensed(np.nan_to_num(shown), cutoff), lag + sensor_lag(cutoff)
+            early = self._flight.filter_delays_s.get(ACCELEROMETER, 0.0) if cutoff else 0.0
+            shown = np.nan_to_num(shifted(reading, lag) if lag else reading)
+            shown, lag = sensed(shown, cutoff, early), lag + sensor_lag(cutoff) - early
             excess = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - shown
         assert aligned.motion.attitude is not None
         q = list(aligned.motion.attitude.at(aligned.inputs.t_s).T)

@@ -11,7 +11,7 @@ from log_rigs.dataflash_rig import KINDS, Kind, dataflash
 from sample_logs import FLOWN_PARAMS, flown_messages, flown_table
 
 from twin.errors import LogError
-from twin.logs import Flight, read_flight
+from twin.logs import Flight, read_flight, write_flight
 
 T = flown_table()["time"].to_numpy()
 SLOW = T[::4]
@@ -123,6 +123,10 @@ def test_the_delay_of_the_filters_is_taken_off(tmp_path: Path) -> None:
         where = column[:-2]
         assert f"{1e3 * delay_s:.1f} ms before" in said(shifted, where, "info")
         assert "before" not in said(plain, where, "info")
+        assert shifted.filter_delays_s[where] == pytest.approx(delay_s, abs=1e-6)
+    assert plain.filter_delays_s == {}
+    write_flight(shifted, tmp_path / "noted.parquet")
+    assert read_flight(tmp_path / "noted.parquet").filter_delays_s == shifted.filter_delays_s
 
 
 def pulses(on: np.ndarray[Any, Any], t: np.ndarray[Any, Any]) -> dict[str, Any]:

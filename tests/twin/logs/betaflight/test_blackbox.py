@@ -136,6 +136,7 @@ def test_a_flight_comes_back_in_si_ned_and_frd(fine: bool, tmp_path: Path) -> No
     high = {"blackbox_high_resolution": str(int(fine))}
     flight = _read(tmp_path, Part(flown_main(meant, fine), high))
     delay_s = {"acc": 1e-6 * filter_delay_us(25.0), "gyro": 0.0}
+    assert flight.filter_delays_s == {"acc": delay_s["acc"]}
     for group, within in (("acc", 0.5 * 9.81 / 2048), ("gyro", np.deg2rad(0.05 if fine else 0.5))):
         columns = [f"{group}_{a}" for a in "xyz"]
         t, values = flight.signal(columns)
