@@ -30,6 +30,7 @@ class Linear:
         odds: Log odds of each effect.
         own: Share of each channel's rows that counts.
         reach: Largest size of a number.
+        ages: Numbers whose sum is the age of a signal, by that which has a day.
     """
 
     effects: Sequence[str]
@@ -42,6 +43,7 @@ class Linear:
     odds: Mapping[str, float] = field(default_factory=dict)
     own: Array | None = None
     reach: float = 1e9
+    ages: Mapping[int, NDArray[np.intp]] = field(default_factory=dict)
 
     @property
     def priors(self) -> Priors:
@@ -61,6 +63,7 @@ class Linear:
             high=self.reach * one,
             day=zero if self.day is None else self.day,
             odds={e: 0.0 for e in self.effects} | dict(self.odds),
+            ages=self.ages,
         )
 
     @property

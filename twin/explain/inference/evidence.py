@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import lsq_linear
+from scipy.special import log_ndtr
 
 from ...representation import ShortRepr
 from ...residuals.channels import Array
@@ -330,7 +331,24 @@ class LaplaceEvidence:
         laplace = 0.5 * (prior.log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
-        return MapEstimate(float(now + laplace + prior.odds), kappa, full, free, h)
+        late = self._never_early(full, free, h, kappa)
+        return MapEstimate(float(now + laplace + prior.odds + late), kappa, full, free, h)
+
+    def _never_early(self, x: Array, free: NDArray[np.intp], h: "Factored", kappa: float) -> float:
+        """Log factor on the evidence as no signal with the clock of the others is early: for its
+        age a in each flight, P(a > 0) of the posterior over that of the normal prior."""
+        b, each, total = self.priors, np.arange(self._f), 0.0
+        for i, own in b.ages.items():
+            rows = np.zeros((self._f, len(x)))
+            rows[:, own] = 1.0
+            shared, usual = float(np.sum(b.now[own]) + rows[0] @ x), kappa * b.day[i]
+            day = self._k + np.searchsorted(self.spectrum.day_columns, i) + self._d * each
+            rows[each, day] = 1.0
+            sd = np.sqrt(np.sum(rows[:, free].T * h.solve(rows[:, free].T), axis=0))
+            late = log_ndtr((shared + x[day]) / sd) - log_ndtr(max(shared, 0.0) / usual)
+            apart = b.odds[b.cause[i]]  # of a clock of its own
+            total += float(np.logaddexp(apart, late.sum()) - np.log1p(np.exp(apart)))
+        return total
 
     def _allowed(self, x: Array, free: NDArray[np.intp], h: "Factored") -> Array:
         """Numbers projected into the physical limits."""

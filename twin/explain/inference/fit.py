@@ -227,6 +227,8 @@ class Problem(ShortRepr):
         shown, left = self.between_days(state), self.constants_between_days(state, means)
         pairs = zip(self.priors.names, self.priors.day, strict=True)
         day = np.array([shown.get(n, usual) for n, usual in pairs])
+        clocks = [*self.priors.ages]  # about a mean, ages that are never negative vary less
+        day[clocks] = np.maximum(day[clocks], self.priors.day[clocks])
         constants = {(c, 0): left[name] ** 2 for c, name in enumerate(self.rest.channels)}
         bands = replace(self.noise.bands, floor={**self.noise.bands.floor, **constants})
         priors, noise = replace(self.priors, day=day), replace(self.noise, bands=bands)

@@ -51,6 +51,7 @@ class Priors(ShortRepr):
         day: Between-flight standard deviation; 0: all flights share it.
         odds: Log prior odds of each cause.
         most: Maximum number of rotors that may differ, by effect of single rotors: half of all.
+        ages: Columns whose sum is the age of a signal, by that which varies from day to day.
     """
 
     columns: tuple[int, ...]
@@ -67,6 +68,7 @@ class Priors(ShortRepr):
     day: Array
     odds: Mapping[str, float]
     most: Mapping[str, int] = field(default_factory=dict)
+    ages: Mapping[int, NDArray[np.intp]] = field(default_factory=dict)
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -112,22 +114,21 @@ class Priors(ShortRepr):
         """The priors with more numbers, each its own cause with mean 0 and standard deviation
         `sd`."""
         more = 0, len(names)
-        now, mean, held, day = (np.pad(v, more) for v in (self.now, self.mean, self.held, self.day))
-        return Priors(
-            (*self.columns, *[-1] * len(names)),
-            (*self.names, *names),
-            (*self.cause, *names),
-            np.pad(self.shape, more),
-            now,
-            mean,
-            np.pad(self.slab, more, constant_values=sd),
-            np.pad(self.file, more),
-            np.pad(self.low, more, constant_values=-np.inf),
-            np.pad(self.high, more, constant_values=np.inf),
-            held,
-            day,
-            {**self.odds, **dict.fromkeys(names, 0.0)},
-            self.most,
+        return replace(
+            self,
+            columns=(*self.columns, *[-1] * len(names)),
+            names=(*self.names, *names),
+            cause=(*self.cause, *names),
+            shape=np.pad(self.shape, more),
+            now=np.pad(self.now, more),
+            mean=np.pad(self.mean, more),
+            slab=np.pad(self.slab, more, constant_values=sd),
+            file=np.pad(self.file, more),
+            low=np.pad(self.low, more, constant_values=-np.inf),
+            high=np.pad(self.high, more, constant_values=np.inf),
+            held=np.pad(self.held, more),
+            day=np.pad(self.day, more),
+            odds={**self.odds, **dict.fromkeys(names, 0.0)},
         )
 
     def tension(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -235,7 +236,8 @@ def priors_since(model: Model) -> Priors:
             low[i] = usual.now[i]
     changes = {c: EFFECTS[effect_of(c)].change for c in usual.cause}
     odds = {c: change.odds for c, change in changes.items() if change is not None}
-    return replace(usual, mean=mean, slab=slab, file=file, low=low, held=held, day=day, odds=odds)
+    usual = replace(usual, mean=mean, slab=slab, file=file, low=low, held=held, day=day)
+    return replace(usual, odds=odds, ages={})
 
 
 def _lowest(number: Number, vehicle: Vehicle, trusted: bool) -> float:
@@ -282,6 +284,7 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
             spike[i] = max(spike[i], PROPELLERS)
     single = Counter(n.effect for n in own if n.about.per_rotor and not n.shape)
     file = _covariance(own, spike, vehicle)
+    clocks = [int(i) for i in np.flatnonzero(day) if own[i].moves]
     return Priors(
         tuple(columns),
         tuple(n.full for n in own),
@@ -297,6 +300,7 @@ def priors_of(model: Model, trusted: bool = True) -> Priors:
         day,
         {_cause_of(n): of_effect[n.effect].odds_for(vehicle) for n in own},
         {e: n // 2 for e, n in single.items()},
+        {i: np.flatnonzero([n.moves == own[i].moves for n in own]) for i in clocks},
     )
 
 

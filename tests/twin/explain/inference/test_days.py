@@ -69,6 +69,8 @@ def test_flights_teach_by_how_much_their_days_differ_number_by_number() -> None:
     place = {n: i for i, n in enumerate(b.names)}
     assert learned.day[place[X]] > 1.3 * b.day[place[X]]
     assert learned.day[place[Z]] < 0.8 * b.day[place[Z]]
+    aged = replace(usual, priors=replace(b, ages={place[Z]: np.array([place[Z]])}))
+    assert aged.accustomed(state).priors.day[place[Z]] == b.day[place[Z]]  # no narrower
     untold = [i for i in range(len(b.names)) if i not in b.days]
     np.testing.assert_array_equal(learned.day[untold], b.day[untold])
 

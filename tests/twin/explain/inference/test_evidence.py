@@ -1,5 +1,6 @@
 """The evidence of a set against integrals and normal distributions written down by hand."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -103,6 +104,25 @@ def normal(problem: Linear, on: str, kappa: float = 1.0) -> float:
     mean = s @ np.where(there, priors.mean, 0.0)
     density = multivariate_normal(mean, covariance).logpdf(np.array(r))
     return float(density) + 0.5 * len(r) * float(np.log(2 * np.pi))
+
+
+@pytest.mark.parametrize(
+    ("ages", "on", "factor"),
+    [
+        ((0.02, 0.05, 0.03), "", 3 * math.log(2)),  # half of a normal prior about zero
+        ((0.02, 0.05, -0.03), "", -7.0),  # only a clock of its own is early: its odds
+        ((1.02, 1.05, 1.03), "a", 0.0),  # beside a delay of many days nothing is early
+    ],
+)
+def test_no_signal_is_early_unless_its_clock_is_its_own(
+    ages: tuple[float, ...], on: str, factor: float
+) -> None:
+    flights = [(bands(1, 0), np.array([age]), np.ones((1, 2))) for age in ages]
+    day = np.array([0.0, 0.02])
+    usual = Linear(["a", "b"], [flights], {(0, 0): 1e-6}, day=day, odds={"b": -7.0})
+    late = replace(usual, ages={1: np.array([0, 1])})
+    found = (p.laplace.best([*on], 1.0).evidence for p in (late, usual))
+    assert next(found) - next(found) == pytest.approx(factor, abs=0.01)
 
 
 def constants(seed: int = 0, **changes: object) -> Linear:

@@ -11,6 +11,7 @@ from rig import fitted, rows_of
 from scipy.ndimage import gaussian_filter1d
 
 from twin.effects import EFFECTS
+from twin.explain.inference.priors import priors_of
 from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import with_effects
 from twin.flight.manoeuvres import Manoeuvre, plan, rehearse
@@ -114,6 +115,15 @@ def test_the_answer_to_an_age_is_that_of_the_force_that_was_found(age: str) -> N
     ahead, _ = rows_of(model.channels([], {**found, name: step}), ["pose_acc"])
     moved, slope = (here - ahead) / step, slopes[:, 0]  # the former with the noise of the pose
     assert moved @ slope / (slope @ slope) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_an_age_is_a_delay_and_what_its_clock_adds_on_a_day() -> None:
+    b = priors_of(seen(recorded(), "position_delay", "clock_offset"))
+    found = {b.names[i]: {b.names[k] for k in own} for i, own in b.ages.items()}
+    of_pose = {"clock_offset.pose_s", "position_delay.delay_s"}
+    of_attitude = {"clock_offset.attitude_s", "position_delay.attitude_s"}
+    assert found == {"clock_offset.pose_s": of_pose, "clock_offset.attitude_s": of_attitude}
 
 
 @pytest.mark.slow
