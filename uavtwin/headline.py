@@ -22,6 +22,7 @@ from twin.explain.estimates import (
     listed_effects,
     nothing_probability,
     probability_of,
+    reported_count,
     stochastic_effect,
     unasked,
     undecided,
@@ -31,7 +32,7 @@ from twin.explain.inference.detection import Detectable
 from twin.explain.inference.estimate import Estimate, fitted_estimates
 from twin.explain.inference.fit import INTERVAL, Fit
 from twin.explain.inference.priors import effect_of
-from twin.explain.inference.selection import Naming
+from twin.explain.inference.selection import APART, Naming
 from twin.explain.weather import WIND
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
@@ -46,8 +47,7 @@ MOST_NUMBERS = 3
 MOST_EFFECTS = 3
 """Largest number of effects with numbers; of sensors beside what acts on the flight, one more."""
 STRIKING = 3.0
-"""Prior deviations of a number from which its effect leads, a sensor as well; and between-flight
-deviations from which flights differ."""
+"""Prior deviations of a number from which its effect leads, a sensor as well."""
 MOST_VARIED = 2
 """Largest number of effects that differ between flights, and of flights for each."""
 MOST_BLIND = 3
@@ -85,39 +85,58 @@ def _answer(found: Explanation) -> Headline:
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
         text = f"Nothing detectable is missing from the model, {sure} probability."
+        text += _varied(naming)
         return Headline(text + blind(detectable(found), False, unasked(found)))
     if found.verdict == "named":
         return _named(found, naming)
     if found.verdict == "unnamed":
-        return Headline(f"The cause of the residual is {_outside(found)}.")
+        return Headline(f"The cause of the residual is {_outside(found)}.{_varied(naming)}")
     tied = _candidates(found)
     if not tied and found.reasons:
-        return Headline(
-            f"No effect is detectable, but something is missing: {'; '.join(found.reasons)}."
-        )
+        reasons = "; ".join(found.reasons)
+        text = f"No effect is detectable, but something is missing: {reasons}.{_varied(naming)}"
+        return Headline(text)
     if (none := nothing_probability(found) or 0.0) > 0.01:
         tied.append(f"none ({certainty(none)})")
     if naming.outside > naming.settings.least:
         tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
-    return Headline(f"Several causes are consistent with these flights: {joined(tied, 'or')}.")
+    text = f"Several causes are consistent with these flights: {joined(tied, 'or')}."
+    return Headline(text + _varied(naming))
 
 
 def _named(found: Explanation, naming: Naming) -> Headline:
     """Sentence on the named effects."""
     effects = [e for e in listed_effects(found) if e not in undecided(found)]
     lead = _acts_like(found, naming, effects)
-    estimates = {e: estimates_of(found, e) for e in effects}
+    told = {e: _determined_estimates(found, e) for e in effects}
+    estimates = {e: own for e, (own, _) in told.items()}
     shares = sure_shares(_shares(naming), estimates)
     first, later = leading(effects, shares, _determined(estimates), _striking(estimates))
     most = MOST_NUMBERS if len(first) == 1 else 1
-    parts = [_phrase(found, e, estimates[e], most) for e in first]
+    parts = [_phrase(found, e, estimates[e], most, flight=told[e][1]) for e in first]
+    apart = {e for e in first if told[e][1]}
     text = (
         f"{lead}Missing from the model: {'; '.join(p.text for p in parts)}"
-        f"{_sure(found, first)}{_varied(naming)}{_which(naming)}{later}"
+        f"{_sure(found, first)}{_varied(naming, apart)}{_which(naming)}{later}"
         f"{_what_else(found, effects)}"
         f"{_doubts(found, estimates)}{_undetectable(found, naming)}"
     )
     return Headline(text, tuple(n for p in parts for n in p.numbers))
+
+
+def _determined_estimates(found: Explanation, effect: str) -> tuple[list[Estimate], str]:
+    """Estimates of a listed effect for a headline, and of which flight they are; "": of all. One
+    flight's are where only these determine a number: those of the largest change."""
+    own, naming = estimates_of(found, effect), found.naming
+    if naming is None or any(t.determined for t in own):
+        return own, ""
+    each = {
+        f: naming.estimates(effect, reported_count(found), fit)
+        for f, fit in naming.of_flights.items()
+    }
+    known = {f: [abs(t.change) for t in every if t.determined] for f, every in each.items()}
+    flight = max(known, key=lambda f: max(known[f], default=0.0), default="")
+    return (each[flight], flight) if known.get(flight) else (own, "")
 
 
 def _undetectable(found: Explanation, naming: Naming) -> str:
@@ -171,7 +190,7 @@ def varied(
     for flight, own in days.items():
         for name, (difference, _) in own.items():
             known = _of_aircraft(name) and name.partition(".")[0] not in without
-            if known and abs(difference) > STRIKING * usual[name]:
+            if known and abs(difference) > APART * usual[name]:
                 apart.setdefault(name, {})[flight] = difference
     if not apart or len(days) < 2:
         return ""
@@ -193,10 +212,10 @@ def _of_aircraft(name: str) -> bool:
     return not about.of_weather and any(own.startswith(p.name) for p in about.parameters)
 
 
-def _varied(naming: Naming) -> str:
-    """`varied` without effects that the cause only resembles."""
-    usual = dict(zip(naming.problem.priors.names, naming.problem.priors.day, strict=True))
-    return varied(naming.days, usual, {r.effect for r in naming.resemblances})
+def _varied(naming: Naming, told: Collection[str] = ()) -> str:
+    """`varied` without effects that are told, and those that the cause only resembles."""
+    usual = dict(zip(naming.problem.priors.names, naming.problem.usual, strict=True))
+    return varied(naming.days, usual, {*told, *(r.effect for r in naming.resemblances)})
 
 
 def _which(naming: Naming) -> str:
@@ -307,12 +326,14 @@ def _acts_like(found: Explanation, naming: Naming, named: Sequence[str]) -> str:
 
 
 def _phrase(
-    found: Explanation, effect: str, estimates: Sequence[Estimate], most: int, since: bool = False
+    found: Explanation, effect: str, estimates: Sequence[Estimate], most: int, flight: str = ""
 ) -> Headline:
-    """An effect with its numbers for a headline."""
+    """An effect with its numbers for a headline; `flight`: the only one that they are of."""
     stochastic = stochastic_effect(found, effect)
     if stochastic is None:
-        size = sizes(effect, estimates, most, since)
+        size = sizes(effect, estimates, most)
+        if flight:
+            return Headline(amount(effect, f"{size.text} in {flight}, and changes between flights"))
         return Headline(amount(effect, size.text), size.numbers)
     given = [t for t in estimates if t.determined or t.number.shape][:most]
     texts = [f"{t.number.name} = {quantity(t.value, t.number.about.unit)}" for t in given]

@@ -116,6 +116,7 @@ LOCAL = {
         "inference.fit.COVERED",
         "inference.posterior.EXCHANGED",
         "calibration.CLEARLY",
+        "inference.selection.APART",
         "inference.valley.MORE",
         "estimates.UNDETERMINED",
         "inference.estimate.MOST_OF_PRIOR",

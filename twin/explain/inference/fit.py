@@ -102,6 +102,7 @@ class Problem(ShortRepr):
         noise: Noise model.
         rest: Spectrum of the nominal model's residuals, with slopes by every number.
         gained: Log likelihood gained by following mere noise, nats, of each cause; in its odds.
+        usual: Between-flight standard deviation of each number, not learned from these flights.
         kappas: Allowed factors on day-to-day variation; for one flight it is not observable.
     """
 
@@ -111,6 +112,7 @@ class Problem(ShortRepr):
     noise: InstrumentNoise
     rest: Spectrum
     gained: Mapping[str, float]
+    usual: Array
     kappas: tuple[float, ...] = (1.0,)
 
     @classmethod
@@ -137,7 +139,8 @@ class Problem(ShortRepr):
         gained = {c: gained_by_following(c, flights, bands, model.vehicle) for c in priors.cause}
         odds = {c: v - gained[c] for c, v in priors.odds.items()}
         kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
-        return cls(model, replace(priors, odds=odds), bounds, noise, rest, gained, kappas)
+        priors = replace(priors, odds=odds)
+        return cls(model, priors, bounds, noise, rest, gained, priors.day, kappas)
 
     def laplace(self, spectrum: Spectrum) -> LaplaceEvidence:
         """Linearisation of all candidate models at these residuals."""

@@ -188,6 +188,24 @@ class Naming(ShortRepr):
         certain or not, by their representative effect."""
         return {t.family.first: t for t in self.totals if len(t.effects) > 1}
 
+    @cached_property
+    def of_flights(self) -> dict[str, Fit]:
+        """`conditional` with the values of each flight, for numbers that differ between flights by
+        more than `APART`: their mean may be zero, or known poorly, where flights tell their own."""
+        b, best, shared = self.problem.priors, self.posterior.sets[0].best, self.conditional
+        usual, made = self.problem.usual, {}
+        for f, flight in enumerate(self.problem.model.flights):
+            values, widths = dict(shared.values), shared.half_widths.copy()
+            for i, column in enumerate(b.days, len(b.now) + f * len(b.days)):
+                name, row = b.names[column], np.zeros(len(best.x))
+                if name in values and abs(best.x[i]) > APART * usual[column]:
+                    row[[column, i]] = 1.0
+                    values[name] = float(b.now[column] + row @ best.x)
+                    k = [n.full for n in shared.numbers].index(name)
+                    widths[k] = INTERVAL * math.sqrt(best.variance(row))
+            made[flight.flight.name] = replace(shared, values=values, half_widths=widths)
+        return made
+
     @property
     def verdict(self) -> Verdict:
         """Verdict: "named" where one effect is certain, even if others are not."""
@@ -205,10 +223,15 @@ class Naming(ShortRepr):
         return self.joint_probability([effect]) >= self.settings.sure * believed
 
     def _may_be_none(self, effect: str) -> bool:
-        """Whether every reported interval of its numbers contains no effect."""
-        own = self.estimates(effect, len(self.best.effects) + self.further)
-        own = [t for t in own if t.no_effect is not None]
-        return bool(own) and all(t.may_be_none for t in own)
+        """Whether every reported interval of its numbers contains no effect, in each flight."""
+        reported = len(self.best.effects) + self.further
+
+        def none(fit: Fit | None) -> bool:
+            own = self.estimates(effect, reported, fit)
+            own = [t for t in own if t.no_effect is not None]
+            return bool(own) and all(t.may_be_none for t in own)
+
+        return none(None) and all(map(none, self.of_flights.values()))
 
     def estimates(self, effect: str, reported: int, fitted: Fit | None = None) -> list[Estimate]:
         """Estimates of an effect given that it is present, or in a fit; intervals widen with the
@@ -341,6 +364,8 @@ UNKNOWN_CONSTANT = 1e6
 """Standard deviation of an unrestricted constant, in the unit of any channel."""
 DAYS_SHOWN = 3
 """Number of flights from which on their day-to-day variation is reported."""
+APART = 3.0
+"""Between-flight standard deviations of a number by which flights differ far more than usual."""
 MANY = 4
 """Number of effects that an approximately right model may lack."""
 

@@ -11,6 +11,7 @@ from search_rigs.hypotheses import against, fit_set, state_of
 
 from twin.component.rows import OverRows, noiseless_outputs
 from twin.effects import EFFECTS
+from twin.explain.explanation import Explanation
 from twin.explain.inference import selection as search
 from twin.explain.inference.adequacy import coherent, credible, powers
 from twin.explain.inference.fit import Fit, Problem, substantial_effects
@@ -35,6 +36,7 @@ from twin.residuals.channels import CHANNEL_HZ, ChannelData
 from twin.vehicle.vehicle import first_reaching, hover_level, polynomial, voltage_power
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.headline import headline
 
 COPTER, CRAZYFLIE = load_vehicle("copter_default"), load_vehicle("crazyflie")
 ROUND: Waypoints = (
@@ -302,6 +304,35 @@ def test_a_compass_mounted_at_an_angle_is_found_at_once(
     off = naming.best.values["heading_offset.yaw_rad"] - mounted_rad
     assert abs((off + np.pi) % (2 * np.pi) - np.pi) < 0.15  # the day takes a part
     assert naming.best.values["mag_hard_iron.x_t"] == pytest.approx(6e-6, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_compass_that_is_turned_between_flights_is_told_by_flights(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Days that are learned take all of it up: by how much they differ is held against what is
+    usual. A mean of all flights may be zero."""
+    known = [EFFECTS[e] for e in ("mag_hard_iron", "mag_soft_iron", "heading_offset")]
+    monkeypatch.setattr(search, "candidates", lambda *_: known)
+    mounted = {"a": -0.2, "b": 1.3, "c": 1.36, "d": 1.4, "e": 1.5}
+    naming = name_effects([replace(turned(2, m), name=f) for f, m in mounted.items()], COPTER)
+    assert naming.named == ("heading_offset", "mag_hard_iron")
+    wide = replace(naming.conditional, half_widths=naming.conditional.half_widths + 3.0)
+    unsure = replace(naming, conditional=wide)
+    assert unsure.named == ("heading_offset",)
+    for flight, fitted in unsure.of_flights.items():
+        own = unsure.estimates("heading_offset", 2, fitted)
+        (told,) = [t for t in own if t.number.name == "yaw_rad"]
+        assert not told.may_be_none
+        assert told.value == pytest.approx(mounted[flight], abs=0.02)
+    found = Explanation("named", COPTER, tuple(mounted), naming=unsure, shown=unsure.shown)
+    said = headline(found)
+    assert "heading offset (its heading is off by 85.9° in e, and changes between" in said.text
+    assert said.numbers == ()
+    nothing = headline(replace(found, verdict="nothing")).text
+    assert "Between these flights differs heading offset (\N{MINUS SIGN}58.9° in a and" in nothing
+    usual = np.ones(len(naming.problem.usual))  # rad: none of them is far from the mean then
+    assert replace(unsure, problem=replace(naming.problem, usual=usual)).named == ()
 
 
 @pytest.mark.slow
