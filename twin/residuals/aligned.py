@@ -8,7 +8,7 @@ ground the legs carry the difference.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -345,7 +345,10 @@ class Alignment:
     ) -> None:
         """Arguments and errors as in `align_flight`; `airborne` raises where the vehicle is never
         in the air."""
-        self.airframe, self.imu = components_of(vehicle, choose_drive(flight, vehicle), effects)
+        told = vehicle
+        if flight.filter_delays_s:  # an IMU that steps in time cannot be early by a delay
+            told = replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None)
+        self.airframe, self.imu = components_of(told, choose_drive(flight, vehicle), effects)
         time = flight.time_s
         if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
             raise LogError(f"{flight.name}: too short: {len(time)} samples.")

@@ -1,5 +1,6 @@
 """A flight gone through in blocks of rows gives what it gives in one piece, to the bit."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -38,6 +39,13 @@ def flight() -> Flight:
 def vehicle(loaded: bool) -> Vehicle:
     made = load_vehicle("copter_default")
     return made.with_effects(LOADED) if loaded else made
+
+
+def test_readings_corrected_for_a_low_pass_are_compared_without_it() -> None:
+    filtered = replace(vehicle(False), accel_cutoff_hz=30.0, gyro_cutoff_hz=80.0)
+    corrected = replace(flight(), filter_delays_s={"gyro": 0.0028})
+    made = [Alignment(f, filtered).imu for f in (flight(), corrected)]
+    assert [any("_lp_" in s.name for s in sensor.states) for sensor in made] == [True, False]
 
 
 @pytest.mark.slow
