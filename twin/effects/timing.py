@@ -159,8 +159,8 @@ POSE_SMOOTHING = effect_of_records(
         for name, what in (("attitude_s2", "attitude"), ("position_s2", "position and velocity"))
     ),
     ("q", "gyro"),
-    "x - (q/2) x'' of an average with variance q, to second order: Taylor's theorem; exact for "
-    "motion that is slow over its width",
+    "forces less their average by a normal distribution with variance q; rotations x - (q/2) x'', "
+    "to second order: Taylor's theorem, exact for motion that is slow over its width",
     Average({"attitude_s2": ("q",), "position_s2": ("pos", "vel")}),
     prior=Prior(
         COMMON,

@@ -354,6 +354,17 @@ def shifted(values: Array, later_s: float, rate_hz: float = GRID_HZ) -> Array:
     return GridSpline(values, rate_hz).later(later_s)
 
 
+def averaged(values: Array, variance_s2: float, rate_hz: float = GRID_HZ) -> Array:
+    """Values on a grid, averaged over time with the weights of a normal distribution; unknown ones
+    bridged, as in `GridSpline`."""
+    found, known = _bridged(values)
+    if variance_s2 > 0:
+        width = math.sqrt(variance_s2) * rate_hz
+        found = scipy.ndimage.gaussian_filter1d(found, width, axis=0, mode="nearest")
+    found[:, ~known] = np.nan
+    return found
+
+
 def _bridged(values: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Columns with straight lines over unknown values, and a mask of the columns with known
     ones."""

@@ -34,6 +34,7 @@ from ...residuals.channels import (
     Array,
     ChannelData,
     GridSpline,
+    averaged,
     mean_over_step,
     on_grid,
     shifted,
@@ -332,11 +333,11 @@ class FlightModel:
         factor = self.factors[k]
         rate = cache(partial(np.gradient, at, 1 / GRID_HZ, axis=0))
         turned = cache(partial(self._turned, at))
-        by_average = cache(partial(self._by_average, k, at=at))
+        by_average = cache(lambda i: self._by_average(k, i, float(theta[i]), at))
         for i in np.flatnonzero(theta).tolist():
             n = self.numbers[i]
             if set(n.averages) & factor.averaged:
-                predicted = predicted + theta[i] * by_average(i)
+                predicted = predicted + by_average(i)[0]
             if n.full in factor.late:
                 predicted = shifted(predicted, factor.late[n.full] * theta[i])
             if n.turns_pose and factor.turning is not None:
@@ -344,7 +345,7 @@ class FlightModel:
         for column, i in enumerate(columns):
             n = self.numbers[i]
             if set(n.averages) & factor.averaged:
-                answer[:, :, column] = by_average(i)
+                answer[:, :, column] = by_average(i)[1]
             elif n.full in factor.late:
                 answer[:, :, column] = -factor.late[n.full] * rate()
             elif factor.turning is not None and n.turns_pose:
@@ -369,24 +370,28 @@ class FlightModel:
             answer = answer - swept
         return answer
 
-    def _by_average(self, k: int, i: int, at: Array) -> Array:
-        """Slope by the variance of a time average in the pose: the signal before averaging is the
-        average minus half the variance times its second derivative.
+    def _by_average(self, k: int, i: int, variance_s2: float, at: Array) -> tuple[Array, Array]:
+        """Change by a time average in the pose with this variance, and its slope: what the average
+        took from the signal; for rotations minus half the variance times the second derivative.
 
         Computed from the gyroscope: the twice differentiated noise of the attitude would dominate.
         """
         turning, signals = self.factors[k].turning, set(self.numbers[i].averages)
         if turning is None:
-            return -0.5 * _bend(at)
-        answer = np.zeros_like(at)
+            slope = -0.5 * _bend(at)
+            return variance_s2 * slope, slope
+        change, slope = np.zeros_like(at), np.zeros_like(at)
         if signals & {*PLACE}:
             force_n = np.stack(to_ned(self._q, list(at.T)), axis=-1)
-            answer -= 0.5 * np.stack(to_body(self._q, list(_bend(force_n).T)), axis=-1)
+            left = averaged(force_n, variance_s2)
+            change = np.stack(to_body(self._q, list((force_n - left).T)), axis=-1)
+            slope = -0.5 * np.stack(to_body(self._q, list(_bend(left).T)), axis=-1)
         if signals & {*TURN}:
             spline = remembered(self._rates, k, lambda: GridSpline(turning))
             ahead, back = spline.later(-BEND_S), spline.later(BEND_S)
-            answer += 0.5 * np.cross((ahead - back) / (2 * BEND_S), at)
-        return answer
+            turned = 0.5 * np.cross((ahead - back) / (2 * BEND_S), at)
+            change, slope = change + variance_s2 * turned, slope + turned
+        return change, slope
 
     def _clean(self, k: int, theta: Array) -> Array:
         """Prediction of the nominal model, corrected for the ages of the pose."""
