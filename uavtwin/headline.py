@@ -108,13 +108,13 @@ def _named(found: Explanation, naming: Naming) -> Headline:
     """Sentence on the named effects."""
     effects = [e for e in listed_effects(found) if e not in undecided(found)]
     lead = _acts_like(found, naming, effects)
-    told = {e: _determined_estimates(found, e) for e in effects}
-    estimates = {e: own for e, (own, _) in told.items()}
+    determined = {e: _determined_estimates(found, e) for e in effects}
+    estimates = {e: own for e, (own, _) in determined.items()}
     shares = sure_shares(_shares(naming), estimates)
     first, later = leading(effects, shares, _determined(estimates), _striking(estimates))
     most = MOST_NUMBERS if len(first) == 1 else 1
-    parts = [_phrase(found, e, estimates[e], most, flight=told[e][1]) for e in first]
-    apart = {e for e in first if told[e][1]}
+    parts = [_phrase(found, e, estimates[e], most, flight=determined[e][1]) for e in first]
+    apart = {e for e in first if determined[e][1]}
     text = (
         f"{lead}Missing from the model: {'; '.join(p.text for p in parts)}"
         f"{_sure(found, first)}{_varied(naming, apart)}{_which(naming)}{later}"
@@ -212,10 +212,10 @@ def _of_aircraft(name: str) -> bool:
     return not about.of_weather and any(own.startswith(p.name) for p in about.parameters)
 
 
-def _varied(naming: Naming, told: Collection[str] = ()) -> str:
+def _varied(naming: Naming, named: Collection[str] = ()) -> str:
     """`varied` without effects that are told, and those that the cause only resembles."""
     usual = dict(zip(naming.problem.priors.names, naming.problem.usual, strict=True))
-    return varied(naming.days, usual, {*told, *(r.effect for r in naming.resemblances)})
+    return varied(naming.days, usual, {*named, *(r.effect for r in naming.resemblances)})
 
 
 def _which(naming: Naming) -> str:

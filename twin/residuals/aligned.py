@@ -345,10 +345,10 @@ class Alignment:
     ) -> None:
         """Arguments and errors as in `align_flight`; `airborne` raises where the vehicle is never
         in the air."""
-        told = vehicle
+        punctual = vehicle
         if flight.filter_delays_s:  # an IMU that steps in time cannot be early by a delay
-            told = replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None)
-        self.airframe, self.imu = components_of(told, choose_drive(flight, vehicle), effects)
+            punctual = replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None)
+        self.airframe, self.imu = components_of(punctual, choose_drive(flight, vehicle), effects)
         time = flight.time_s
         if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
             raise LogError(f"{flight.name}: too short: {len(time)} samples.")
