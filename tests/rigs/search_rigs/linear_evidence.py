@@ -82,5 +82,6 @@ class Linear:
         k, priors = len(self.effects), self.priors
         bounds = Bounds(priors.low, priors.high, np.zeros((0, k)), np.zeros(0))
         own = np.ones(len(self.channels)) if self.own is None else self.own
-        noise = BandNoise(self.floor, own, {})
+        days = np.array([self.floor.get((c, 0), 0.0) for c in range(len(self.channels))])
+        noise = BandNoise(self.floor, own, {}, days)
         return LaplaceEvidence(self.spectrum, noise, priors, bounds)
