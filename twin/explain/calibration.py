@@ -112,7 +112,7 @@ def calibrate(
         tuple(priors.names[i] for i in free),
         _shared_covariance(state, free, sd),
         problem.between_days(state),
-        problem.constants_between_days(state, state.kappa**2 * problem.noise.bands.days),
+        problem.constants_between_days(state, problem.noise.bands.days),
         {n: v for n, v in fit.values.items() if n in of_records},
         *_trim(problem, state),
         {o[0].name: math.sqrt(coherent(o, settings.adequacy)[0]) for o in every},

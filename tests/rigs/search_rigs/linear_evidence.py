@@ -82,6 +82,5 @@ class Linear:
         k, priors = len(self.effects), self.priors
         bounds = Bounds(priors.low, priors.high, np.zeros((0, k)), np.zeros(0))
         own = np.ones(len(self.channels)) if self.own is None else self.own
-        days = np.array([self.floor.get((c, 0), 0.0) for c in range(len(self.channels))])
-        noise = BandNoise(self.floor, own, {}, days)
+        noise = BandNoise(self.floor, own, {})
         return LaplaceEvidence(self.spectrum, noise, priors, bounds)

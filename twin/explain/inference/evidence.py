@@ -11,8 +11,8 @@ depend on the model of G, so that disturbances alone contain no information on i
 prediction-error method with free noise (Ljung, System Identification, sec. 13.4).
 
 The variance of a constant is that of its channel's unexplained constant: between days by trim,
-levelling, temperature, and by disturbances. kappa scales all day-to-day variation, the
-former included, and is a number of the candidate model, too.
+levelling, temperature, and by disturbances. kappa scales all day-to-day variation, and this
+variance, and is a number of the candidate model, too.
 """
 
 import math

@@ -187,10 +187,11 @@ class Problem(ShortRepr):
         pairs = zip(b.days, (days**2 + doubts**2).T, strict=True)
         return {b.names[i]: _deviation(state.kappa * b.day[i], shown) for i, shown in pairs}
 
-    def constants_between_days(self, state: State, prior: Array) -> dict[str, float]:
+    def constants_between_days(self, state: State, prior: Sequence[float]) -> dict[str, float]:
         """Between-flight standard deviation of the unexplained constant, by channel; `prior`: its
-        variance by channel, combined with these flights."""
-        every = zip(self.rest.channels, np.sqrt(prior), state.spectrum.rows, strict=True)
+        variance at kappa = 1 by channel, combined with these flights."""
+        usual = state.kappa * np.sqrt(prior)
+        every = zip(self.rest.channels, usual, state.spectrum.rows, strict=True)
         left = ((n, v, [np.sum(r.residual[r.band == 0] ** 2) for r in own]) for n, v, own in every)
         return {name: _deviation(sd, np.array(shown)) for name, sd, shown in left}
 
@@ -225,7 +226,7 @@ class Problem(ShortRepr):
 
         Its size is known then, and no common factor is estimated again.
         """
-        means = self.noise.bands.constants(state.kappa)
+        means = [self.noise.bands.floor[c, 0] for c in range(len(self.rest.channels))]
         shown, left = self.between_days(state), self.constants_between_days(state, means)
         pairs = zip(self.priors.names, self.priors.day, strict=True)
         day = np.array([shown.get(n, usual) for n, usual in pairs])

@@ -388,8 +388,8 @@ class InstrumentNoise(ShortRepr):
                 along[0, 0] += trust * len(part) * rounding
                 across[0, 0] += len(inside) * (rounding + self.rough**2 * i.power[b])
                 n += len(inside)
-            found.append(Along(channel, along, n, floor))
-            found.append(Term(channel, across, n, floor))
+            found.append(Along(channel, along, n, floor, False))
+            found.append(Term(channel, across, n, floor, False))
         return found
 
     def _unanswered(

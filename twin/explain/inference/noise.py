@@ -5,7 +5,7 @@
     -2 d log L / d (a RSS_k) = (a n_k + nu) / (nu s_k^2 + a RSS_k)
 
 k: the rows of a channel and band, whose level v_k is integrated out: Student's t for a band. A
-constant is a row of known variance, v = kappa^2 d^2 + S / n, one sample per flight; S: power of
+constant is a row of known variance, v = kappa^2 (d^2 + S / n), one sample per flight; S: power of
 disturbances at 0 Hz, see `BandNoise.with_means_of`. a: weight of a row, as rows are not
 independent. The variance of rounding to the sensor's least count is added to each RSS: noise-free
 readings of a simulation have no better accuracy.
@@ -37,15 +37,15 @@ class Term(ShortRepr):
         channel: Index of the channel.
         gram: Weighted products of residual and slopes, residual first, shape (m, m).
         count: Effective number of samples.
-        floor: Prior variance; for a constant, its variance at kappa = 1.
-        daily: Variance between days of a constant, which is known; 0 for other rows.
+        floor: Prior variance; for a constant, its variance.
+        constant: Whether the variance is known.
     """
 
     channel: int
     gram: Array
     count: float
     floor: float
-    daily: float = 0.0
+    constant: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +56,15 @@ class BandNoise(ShortRepr):
         floor: Prior variance by channel and band; for a constant, its variance at kappa = 1.
         own: Weight a of the rows of each channel, at most 1.
         rounding: Rounding variance of a row, by channel and band.
-        days: Variance between days of the constant of each channel at kappa = 1.
         level: Degrees of freedom of the prior variance.
+        days: Variance between days of the constant of each channel at kappa = 1.
     """
 
     floor: Mapping[tuple[int, int], float]
     own: Array
     rounding: Mapping[tuple[int, int], float]
-    days: Array
     level: float = DEFAULT.inference.evidence.level
+    days: Sequence[float] = ()
 
     @classmethod
     def of(
@@ -95,7 +95,7 @@ class BandNoise(ShortRepr):
                 if (c, b) in power:
                     p, count = power[c, b]
                     floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + least[b]
-        return cls(floor, own, rounding, np.square(constants), settings.level)
+        return cls(floor, own, rounding, settings.level, [d**2 for d in constants])
 
     def with_means_of(self, left: Spectrum) -> "BandNoise":
         """The noise model with the mean of a flight as uncertain as disturbances leave it: their
@@ -109,10 +109,6 @@ class BandNoise(ShortRepr):
             known = np.interp(fast / m / max(slow / n, 1e-300), share[1] / share[0], share[0])
             means[c, 0] = self.days[c] + float(slow / n / known / samples)
         return replace(self, floor={**self.floor, **means})
-
-    def constants(self, kappa: float) -> Array:
-        """Variance of the constant of each channel."""
-        return np.array([self.floor[c, 0] + (kappa**2 - 1) * d for c, d in enumerate(self.days)])
 
     def terms(
         self, channel: int, rows: Array, band: NDArray[np.intp], flight: NDArray[np.intp]
@@ -132,8 +128,7 @@ class BandNoise(ShortRepr):
             n = len(np.unique(flight[band == b])) if b == 0 else len(inside)
             gram = weight * (inside.T @ inside)
             gram[0, 0] += n * weight * self.rounding.get((channel, b), 0.0)
-            daily = float(self.days[channel]) if b == 0 else 0.0
-            found.append(Term(channel, gram, n * weight, self.floor[channel, b], daily))
+            found.append(Term(channel, gram, n * weight, self.floor[channel, b], b == 0))
         return found
 
     def likelihood(self, terms: Sequence[Term]) -> "BandLikelihood":
@@ -141,7 +136,7 @@ class BandNoise(ShortRepr):
         return BandLikelihood(
             np.array([t.count for t in terms]),
             np.array([t.floor for t in terms]),
-            np.array([t.daily for t in terms]),
+            np.array([t.constant for t in terms], dtype=np.bool_),
             self.level,
         )
 
@@ -153,13 +148,13 @@ class BandLikelihood(ShortRepr):
     Attributes:
         count: Effective number of samples of each term, shape (t,).
         floor: Prior variance of each term, shape (t,).
-        daily: Variance between days of each constant, 0 for other terms, shape (t,).
+        constant: Whether each term is a constant, shape (t,).
         level: Degrees of freedom, as of `BandNoise`.
     """
 
     count: Array
     floor: Array
-    daily: Array
+    constant: NDArray[np.bool_]
     level: float
 
     def log(self, rss: Array, kappa: float = 1.0) -> float:
@@ -169,8 +164,8 @@ class BandLikelihood(ShortRepr):
             rss: Sum of squares of each term at some numbers, shape (t,).
             kappa: Factor on the standard deviation of constants.
         """
-        given, free, nu = self.daily > 0, self.daily == 0, self.level
-        s2 = self.floor[given] + (kappa**2 - 1) * self.daily[given]
+        given, free, nu = self.constant, ~self.constant, self.level
+        s2 = kappa**2 * self.floor[given]
         known = self.count[given] * np.log(s2) + rss[given] / s2
         unknown = (self.count[free] + nu) * np.log(self.floor[free] + rss[free] / nu)
         return float(-0.5 * (known.sum() + unknown.sum()))
@@ -181,8 +176,7 @@ class BandLikelihood(ShortRepr):
         """
         nu = self.level
         unknown = (self.count + nu) / (nu * self.floor + rss)
-        known = 1 / (self.floor + (kappa**2 - 1) * self.daily)
-        both = np.where(self.daily > 0, known, unknown)
+        both = np.where(self.constant, 1 / (kappa**2 * self.floor), unknown)
         return both, both
 
 

@@ -97,7 +97,7 @@ def _along(problem: Problem, spectrum: Spectrum, state: State, cause: str) -> li
         return held.evidence - b.log_odds(rest) + b.log_odds(on)
 
     least = log_evidence(spectrum, others, state.effects)
-    deviation = np.sqrt(np.repeat(problem.noise.bands.constants(1.0), len(problem.model.flights)))
+    deviation = _deviations(problem, spectrum)
     slopes = _constants(spectrum)[1] / deviation[:, None] * b.slab
     none = np.zeros(len(b.now))
     before = _constants(there(base))[0]
@@ -156,3 +156,9 @@ def _constants(spectrum: Spectrum) -> tuple[Array, Array]:
         row[r.active] = r.slopes[constant].sum(axis=0)
         slopes.append(row)
     return np.array(values), np.array(slopes)
+
+
+def _deviations(problem: Problem, spectrum: Spectrum) -> Array:
+    """Between-flight standard deviation of each constant."""
+    floor = [problem.noise.bands.floor[c, 0] for c in range(len(spectrum.channels))]
+    return np.asarray(np.sqrt(np.repeat(floor, len(problem.model.flights))))

@@ -228,7 +228,7 @@ def test_the_mean_of_a_flight_is_as_unsure_as_slow_noise_makes_it(kept: float) -
         before = BandNoise.of(plain.spectrum, [0.01])
         after = before.with_means_of(plain.spectrum).with_means_of(plain.spectrum)
         assert before.floor[0, 0] == pytest.approx(1e-4)
-        inside += rows[0] ** 2 < 1.96**2 * after.constants(1 / 64)[0]  # days are not the weather
+        inside += rows[0] ** 2 < 1.96**2 * after.floor[0, 0]
     assert 170 <= inside <= 196
 
 

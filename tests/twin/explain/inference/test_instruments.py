@@ -271,7 +271,7 @@ def test_without_a_setpoint_constants_alone_vote() -> None:
     law = law_of([flight(None)], [c])
     terms = law.terms(0, rows, band, np.zeros(len(band), dtype=np.intp))
     assert not law.instruments
-    assert [t.daily > 0 for t in terms] == [True]
+    assert [t.constant for t in terms] == [True]
 
 
 def test_another_flight_of_the_same_mission_stands_in_for_setpoints() -> None:
