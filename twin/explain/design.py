@@ -118,12 +118,16 @@ def _parting(
     """Difference between the predictions of two explanations for a flight, by blocks of time."""
     union = {*truth.effects, *other.effects}
     model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
-    known = naming.whitened.model.channels([])[0]
+    known_model = naming.whitened.model
+    known = known_model.channels([])[0]
     noise = {c.name: n for c, n in zip(known, naming.whitened.noise, strict=True)}
     true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
+    place = {n.full: i for i, n in enumerate(model.numbers)}
+    names = [known_model.numbers[i].full for i in _columns(known_model, other)]
+    there = np.array([n in place for n in names])  # others this flight does not tell
     rows = [
-        replace(c, residual=c.residual - true[c.name])
-        for c in model.channels(_columns(model, other), other.values)[0]
+        replace(c, residual=c.residual - true[c.name], slopes=c.slopes @ np.eye(len(there))[there])
+        for c in model.channels([place[n] for n in names if n in place], other.values)[0]
         if c.name in noise
     ]
     even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
