@@ -27,6 +27,7 @@ from twin.explain.settings import DEFAULT
 from twin.flight.closed_loop import STEP_S
 from twin.flight.manoeuvres import hover_height_m, manoeuvres, plan, rehearse
 from twin.logs import Flight
+from twin.logs.columns import POS, VEL
 from twin.vehicle import Vehicle
 from twin.vehicle_file import builtin_vehicles, load_vehicle
 from uavtwin.demo.flights import (
@@ -187,6 +188,23 @@ def test_the_lead_is_what_no_number_can_follow() -> None:
     nothing = Held(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
     assert lead([Block(np.zeros((0, 0)), np.zeros(0), 25.0)], nothing) == 12.5
     assert lead([], nothing) == 0.0
+
+
+@pytest.mark.slow
+def test_a_number_that_a_suggested_flight_does_not_tell_counts_as_it_is_held() -> None:
+    """The clock of a position, where none is recorded."""
+    flight = hovering(COPTER, PLANTS["thrust_scale"])
+    with library(["thrust_scale", "clock_offset"]):
+        naming = name_effects([flight], COPTER)
+    other = fit_set(naming.problem, ["thrust_scale"])
+    other = replace(other, values={**other.values, "clock_offset.pose_s": 0.02})
+    numbers = [n.full for n in naming.whitened.model.numbers if n.full in other.values]
+    unplaced = replace(flight, table=flight.table.drop(columns=[*POS, *VEL]))
+    blocks = design._parting(naming, unplaced, COPTER, naming.nothing, other)
+    gram = np.sum([b.gram for b in blocks.values()], axis=0)
+    clock, scale = (numbers.index(n) for n in sorted(numbers))
+    assert gram[scale, scale] > 0
+    assert not np.any(gram[clock])
 
 
 @pytest.mark.slow
