@@ -34,6 +34,7 @@ from .validate import check_columns, validate
 
 _KEY = b"uavtwin"  # key in the metadata
 _MOST_ROTORS = 64  # rotors of a layout; more are damage
+_LONGEST_FILTER_S = 0.25  # delay of a low-pass; readers correct for those from 1 Hz: 0.225 s
 
 
 def noted(notes: Notes) -> dict[bytes, bytes]:
@@ -74,7 +75,9 @@ def _check(notes: Notes) -> None:
     layout = None if notes.airframe is None else notes.airframe.layout
     if not 0.0 <= notes.speeds_late_s < np.inf:
         raise ValueError("a delay that is none")
-    if not all(0.0 <= d < np.inf for d in notes.filter_delays_s.values()):
+    if not {*notes.filter_delays_s} <= {"acc", "gyro"}:
+        raise ValueError("a filter of a signal that has none")
+    if not all(0.0 <= d < _LONGEST_FILTER_S for d in notes.filter_delays_s.values()):
         raise ValueError("a filter with a delay that is none")
     if any(f.count < 1 for f in notes.findings):
         raise ValueError("a finding is counted less than once")

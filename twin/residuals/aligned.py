@@ -345,9 +345,12 @@ class Alignment:
     ) -> None:
         """Arguments and errors as in `align_flight`; `airborne` raises where the vehicle is never
         in the air."""
-        punctual = vehicle
-        if flight.filter_delays_s:  # an IMU that steps in time cannot be early by a delay
-            punctual = replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None)
+        early = flight.filter_delays_s  # an IMU that steps in time cannot be early by a delay
+        punctual = replace(
+            vehicle,
+            accel_cutoff_hz=None if "acc" in early else vehicle.accel_cutoff_hz,
+            gyro_cutoff_hz=None if "gyro" in early else vehicle.gyro_cutoff_hz,
+        )
         self.airframe, self.imu = components_of(punctual, choose_drive(flight, vehicle), effects)
         time = flight.time_s
         if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
