@@ -28,7 +28,6 @@ from twin.explain.estimates import (
     undecided,
 )
 from twin.explain.explanation import Explanation
-from twin.explain.inference.detection import Detectable
 from twin.explain.inference.estimate import Estimate, fitted_estimates
 from twin.explain.inference.fit import INTERVAL, Fit
 from twin.explain.inference.priors import effect_of
@@ -37,7 +36,7 @@ from twin.explain.weather import WIND
 from twin.formatting import certainty, joined, number, percent, pretty_unit, quantity, title
 
 from .record import Headline
-from .wording import BLIND_ORDER, TURNS, blind_clause, clause, said, said_numbers, unit_of
+from .wording import blind, clause, said, said_numbers, undetectable, undetermined, unit_of
 
 if TYPE_CHECKING:
     from twin.explain.calibration import Calibrated
@@ -50,8 +49,6 @@ STRIKING = 3.0
 """Prior deviations of a number from which its effect leads, a sensor as well."""
 MOST_VARIED = 2
 """Largest number of effects that differ between flights, and of flights for each."""
-MOST_BLIND = 3
-"""Largest number of effects with a detection limit."""
 
 
 def headline(found: Explanation) -> Headline:
@@ -148,29 +145,6 @@ def _undetectable(found: Explanation, naming: Naming) -> str:
     seldom_known = {effect_of(c) for c, odds in priors.odds.items() if odds >= UNMEASURED} - said
     smallest = {e: d for e, d in naming.detectable.items() if e in seldom_known}
     return undetectable(smallest, dict(zip(priors.names, priors.slab, strict=True)))
-
-
-def undetectable(smallest: Mapping[str, Detectable], usual: Mapping[str, float]) -> str:
-    """Effects that flights would not show at a usual size; with a leading blank, "" for none.
-
-    Args:
-        smallest: Smallest detectable change, by effect.
-        usual: Prior standard deviation, by "effect.number".
-    """
-    parts = [
-        f"{title(e)} of any size"
-        if d.value is None
-        else blind_clause(e, d.value, d.unit, since=False)
-        for e in BLIND_ORDER
-        if (d := smallest.get(e)) and (d.value is None or d.value > usual[d.number])
-    ]
-    return _would_not_show(parts)
-
-
-def _would_not_show(effects: list[str]) -> str:
-    """A sentence with a leading blank, "" for none."""
-    text = joined(effects, "or")
-    return f" {text[0].upper()}{text[1:]} would not show in these flights." if text else ""
 
 
 def varied(
@@ -594,45 +568,6 @@ def _calibrated(effect: str, estimates: Sequence[Estimate]) -> Headline:
     size = clause(effect, change, since=False)
     words = amount(effect, size) if size else said(effect, change, since=False)
     return Headline(words, tuple(f"{effect}.{n}" for n in names))
-
-
-def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
-    """Sentences on effects without a number for a headline; with a leading blank.
-
-    Args:
-        none: Effects whose intervals contain "no effect".
-        unsized: Effects whose numbers depend more on the prior than on the flights.
-    """
-    text = ""
-    if none:
-        them = "it" if len(none) == 1 else "them"
-        names = joined([title(e) for e in none])
-        text += f" {names.capitalize()} may be zero: these flights do not determine {them}."
-    if unsized:
-        names, verb = joined([title(e) for e in unsized]), "is" if len(unsized) == 1 else "are"
-        text += f" These flights do not determine how large {names} {verb}."
-    return text
-
-
-def blind(smallest: Mapping[str, Detectable], since: bool, axes: str = "") -> str:
-    """Detection limits of effects, and undetermined numbers; with a leading blank, "" where nothing
-    is known.
-
-    Args:
-        smallest: Smallest detectable change, by effect.
-        since: Whether it is a change since a calibration.
-        axes: Axes of "xyz" about which no flight has rotations.
-    """
-    known = {e: smallest[e] for e in BLIND_ORDER if e in smallest}
-    texts = [
-        blind_clause(e, d.value, d.unit, since) for e, d in known.items() if d.value is not None
-    ]
-    text = _would_not_show(texts[:MOST_BLIND])
-    if axes:
-        turns = joined([TURNS[a] for a in axes])
-        text += f" These flights do not tell how the aircraft answers in {turns}: "
-        text += "nothing asks for it."
-    return text
 
 
 def wind(days: Mapping[str, Mapping[str, tuple[float, float]]]) -> str:

@@ -3,15 +3,21 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from twin.effects import EFFECTS
 from twin.effects.wording import Changes
-from twin.formatting import joined, percent, quantity
+from twin.formatting import joined, percent, quantity, title
 from twin.physics.sensors.table import BODY, SENSORS, Sensor
 from twin.residuals.flight_gap import HoverDiagnosis, Mean
 from twin.residuals.gap import Channel
 from twin.residuals.teacher_forced import COMMANDS, SPEEDS
 
+if TYPE_CHECKING:
+    from twin.explain.inference.detection import Detectable
+
+MOST_BLIND = 3
+"""Largest number of effects with a detection limit."""
 SMALL = 0.25
 """Share of the largest change of its kind below which a change is not mentioned."""
 
@@ -286,3 +292,65 @@ def grouped(channels: Sequence[Channel]) -> list[tuple[Kind, list[Channel]]]:
 def mode(horizon_s: float) -> str:
     """Kind of comparison between twin and flight, in words; 0: at each instant."""
     return "teacher-forced" if horizon_s == 0 else f"short horizon, {horizon_s:g} s"
+
+
+def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
+    """Sentences on effects without a number for a headline; with a leading blank.
+
+    Args:
+        none: Effects whose intervals contain "no effect".
+        unsized: Effects whose numbers depend more on the prior than on the flights.
+    """
+    text = ""
+    if none:
+        them = "it" if len(none) == 1 else "them"
+        names = joined([title(e) for e in none])
+        text += f" {names.capitalize()} may be zero: these flights do not determine {them}."
+    if unsized:
+        names, verb = joined([title(e) for e in unsized]), "is" if len(unsized) == 1 else "are"
+        text += f" These flights do not determine how large {names} {verb}."
+    return text
+
+
+def undetectable(smallest: "Mapping[str, Detectable]", usual: Mapping[str, float]) -> str:
+    """Effects that flights would not show at a usual size; with a leading blank, "" for none.
+
+    Args:
+        smallest: Smallest detectable change, by effect.
+        usual: Prior standard deviation, by "effect.number".
+    """
+    parts = [
+        f"{title(e)} of any size"
+        if d.value is None
+        else blind_clause(e, d.value, d.unit, since=False)
+        for e in BLIND_ORDER
+        if (d := smallest.get(e)) and (d.value is None or d.value > usual[d.number])
+    ]
+    return _would_not_show(parts)
+
+
+def blind(smallest: "Mapping[str, Detectable]", since: bool, axes: str = "") -> str:
+    """Detection limits of effects, and undetermined numbers; with a leading blank, "" where nothing
+    is known.
+
+    Args:
+        smallest: Smallest detectable change, by effect.
+        since: Whether it is a change since a calibration.
+        axes: Axes of "xyz" about which no flight has rotations.
+    """
+    known = {e: smallest[e] for e in BLIND_ORDER if e in smallest}
+    texts = [
+        blind_clause(e, d.value, d.unit, since) for e, d in known.items() if d.value is not None
+    ]
+    text = _would_not_show(texts[:MOST_BLIND])
+    if axes:
+        turns = joined([TURNS[a] for a in axes])
+        text += f" These flights do not tell how the aircraft answers in {turns}: "
+        text += "nothing asks for it."
+    return text
+
+
+def _would_not_show(effects: list[str]) -> str:
+    """A sentence with a leading blank, "" for none."""
+    text = joined(effects, "or")
+    return f" {text[0].upper()}{text[1:]} would not show in these flights." if text else ""

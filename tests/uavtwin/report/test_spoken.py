@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from twin.effects import EFFECTS
 from twin.explain.inference.detection import Detectable
 from twin.formatting import quantity, readable
-from uavtwin.headline import blind, undetectable, undetermined, varied, wind
-from uavtwin.wording import clause, said, said_numbers
+from uavtwin.headline import varied, wind
+from uavtwin.wording import blind, clause, said, said_numbers, undetectable, undetermined
 
 UNITS = sorted(
     {p.unit for e in EFFECTS.values() for p in (*e.parameters, *e.of_logs)} | {"Pa", "N"}
