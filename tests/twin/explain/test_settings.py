@@ -162,6 +162,7 @@ LOCAL = {
     "by how much a wind is stronger than usual (twin/explain/weather.py)": {"weather.STRONG"},
     "from which lengths a rope is sought (twin/explain/weather.py)": {"weather.ROPES"},
     "a prior of physics: what it is, stands beside it": {
+        "inference.evidence.GYRO_S",
         "inference.evidence.TAIL_DEGREES",
         "inference.priors.PROPELLERS",
         "inference.selection.UNKNOWN_CONSTANT",

@@ -36,6 +36,8 @@ from .spectrum import Rows, Spectrum
 
 STEPS, HALVINGS = 15, 5
 """Maximum number of steps to the optimum, and of halvings of a step."""
+GYRO_S = 0.005
+"""Usual age of the gyroscope, s, against which ages are told: a sample at 200 Hz."""
 SETTLED = 0.02
 """Gain of a step, nats, below which the optimum is reached."""
 PIVOTS = 12
@@ -331,20 +333,23 @@ class LaplaceEvidence:
         laplace = 0.5 * (prior.log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
-        late = self._never_early(full, free, h, kappa)
+        late = self._never_early(on, full, free, h, kappa)
         return MapEstimate(float(now + laplace + prior.odds + late), kappa, full, free, h)
 
-    def _never_early(self, x: Array, free: NDArray[np.intp], h: "Factored", kappa: float) -> float:
+    def _never_early(
+        self, on: Sequence[str], x: Array, free: NDArray[np.intp], h: "Factored", kappa: float
+    ) -> float:
         """Log factor on the evidence as no signal with the clock of the others is early: for its
-        age a in each flight, P(a > 0) of the posterior over that of the normal prior."""
+        age a in each flight, P(a > 0) of the posterior over that of the normal prior. Ages are
+        those against the gyroscope, whose own is not known."""
         b, each, total = self.priors, np.arange(self._f), 0.0
-        for i, own in b.ages.items():
+        for i, own in ((i, own) for i, own in b.ages.items() if b.cause[i] not in on):
             rows = np.zeros((self._f, len(x)))
             rows[:, own] = 1.0
             shared, usual = float(np.sum(b.now[own]) + rows[0] @ x), kappa * b.day[i]
             day = self._k + np.searchsorted(self.spectrum.day_columns, i) + self._d * each
             rows[each, day] = 1.0
-            sd = np.sqrt(np.sum(rows[:, free].T * h.solve(rows[:, free].T), axis=0))
+            sd = np.sqrt(np.sum(rows[:, free].T * h.solve(rows[:, free].T), axis=0) + GYRO_S**2)
             late = log_ndtr((shared + x[day]) / sd) - log_ndtr(max(shared, 0.0) / usual)
             apart = b.odds[b.cause[i]]  # of a clock of its own
             total += float(np.logaddexp(apart, late.sum()) - np.log1p(np.exp(apart)))

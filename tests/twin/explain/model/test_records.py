@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from twin.effects import EFFECTS
 from twin.explain.inference.priors import priors_of
+from twin.explain.inference.selection import name_effects
 from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import with_effects
 from twin.flight.manoeuvres import Manoeuvre, plan, rehearse
@@ -74,6 +75,13 @@ def test_a_gyroscope_that_is_old_makes_all_others_young() -> None:
     )
     for name in names:
         assert after[name] - before[name] == pytest.approx(-0.02, abs=0.004), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("age_s", [0.003, 0.005])
+def test_an_age_of_the_gyroscope_alone_is_nothing(age_s: float) -> None:
+    """All signals are younger than it, though none is early."""
+    assert name_effects([shifted(("gyro",), age_s)], VEHICLE).verdict == "nothing"
 
 
 @pytest.mark.slow
