@@ -15,7 +15,7 @@ from .autopilot import Autopilot, Reset, Span, label_phases, motion_spans
 from .columns import MOTION, QUAT, VEL, beyond_limit, beyond_message, in_order, motor_columns
 from .flight import Array, FindingCollector, Flight, Site
 from .motors import MotorCommands
-from .stamps import filter_delay_us, longest_stretch, mean_rate_hz
+from .stamps import EARLIER, filter_delay_us, longest_stretch, mean_rate_hz
 
 _SHOWN = 8
 """Largest number of times that a finding lists."""
@@ -132,8 +132,7 @@ class FlightBuilder:
             "info",
             where,
             f"low-passed at {cutoff_hz:.0f} Hz{source and f' ({source})'} before it was logged; "
-            f"its time is {delay_us / 1e3:.1f} ms before the time stamp of the log, the delay of "
-            "that filter",
+            f"its time is {delay_us / 1e3:.1f} ms {EARLIER}, the delay of that filter",
         )
         return delay_us
 

@@ -30,6 +30,7 @@ from .stored import AnyFlight, StoredFlight
 
 _F = TypeVar("_F", bound=AnyFlight)
 
+_SPEEDS = motor_columns("rotor", MAX_MOTORS)
 LONGEST_DEAD_TIME_S = 0.03
 """Longest pure delay from a command to its rotor: a frame of 50 Hz servo pulses, 20 ms, is the
 slowest protocol of speed controllers; half as much again for the controller, by judgement."""
@@ -135,38 +136,52 @@ def align_speed_stamps(flight: _F) -> _F:
         f"a motor has a pure delay of at most {1e3 * LONGEST_DEAD_TIME_S:.0f} ms. What is left of "
         "it is clock_offset.rotor_s"
     )
-    moved = replace(_earlier(flight, late_s), speeds_late_s=flight.speeds_late_s + late_s)
+    moved = replace(_earlier(flight, _SPEEDS, late_s), speeds_late_s=flight.speeds_late_s + late_s)
     return _noted(moved, Finding("warning", "rotor", message))
 
 
 def as_stamped(flight: Flight) -> Flight:
-    """The flight with its rotor speeds at their original time stamps."""
-    if flight.speeds_late_s == 0.0:
+    """The flight with rotor speeds, accelerometer and gyroscope at their original time stamps.
+
+    The low-pass of the vehicle explains the delay of these sensors then. Rows left without a sample
+    are dropped.
+    """
+    moves = [(_SPEEDS, flight.speeds_late_s)]
+    for signal, delay_s in flight.filter_delays_s.items():
+        moves.append((tuple(f"{signal}_{a}" for a in "xyz"), delay_s))
+    if not any(late_s for _, late_s in moves):
         return flight
-    return replace(_earlier(flight, -flight.speeds_late_s), speeds_late_s=0.0)
+    for columns, late_s in moves:
+        flight = _earlier(flight, columns, -late_s) if late_s else flight
+    sampled = [c for c in flight.table if c not in ("time", "phase")]
+    table = flight.table.dropna(how="all", subset=sampled, ignore_index=True)
+    return replace(flight, table=table, speeds_late_s=0.0, filter_delays_s={})
 
 
 def _noted(flight: _F, finding: Finding) -> _F:
     return replace(flight, findings=(*flight.findings, finding))
 
 
-def _earlier(flight: _F, late_s: float) -> _F:
-    """The flight with its speeds earlier; samples before the start of the record are dropped."""
-    speeds = [c for c in motor_columns("rotor", MAX_MOTORS) if flight.has(c)]
+def _earlier(flight: _F, columns: Sequence[str], late_s: float) -> _F:
+    """The flight with samples of some columns earlier; those before the start of the record are
+    dropped."""
+    there = [c for c in columns if flight.has(c)]
+    if not there:
+        return flight
     if isinstance(flight, StoredFlight):
         # the rows of the file remain: values move to rows that had a value
         mended = dict(flight.mended)
-        for column in speeds:
+        for column in there:
             t_s, values = flight.signal([column])
             known = np.isfinite(flight.columns[column])
             moved = np.full(len(known), np.nan)
             moved[known] = np.interp(t_s + late_s, t_s, values[:, 0], right=np.nan)
             mended[column] = moved
         return replace(flight, mended=mended)
-    own = flight.table[["time", *speeds]].dropna(how="all", subset=speeds)
+    own = flight.table[["time", *there]].dropna(how="all", subset=there)
     own = own.assign(time=np.round(own["time"] - late_s, 6))
     own = own[own["time"] >= flight.table["time"].iloc[0]]
-    rest = flight.table.drop(columns=speeds)
+    rest = flight.table.drop(columns=there)
     nearest = np.round(rest["time"], 6)  # rows within one microsecond are one row
     table = pd.merge(
         rest.assign(_key=nearest), own.rename(columns={"time": "_key"}), on="_key", how="outer"

@@ -21,6 +21,10 @@ _SHOWN = 8  # number of times that a finding lists
 _LATEST = 0.5  # share of the record after which a signal begins late
 
 
+EARLIER = "before the time stamp of the log"
+"""Words of the finding on a signal whose stamps are corrected for the delay of its low-pass."""
+
+
 def filter_delay_us(cutoff_hz: float) -> int:
     """Low-frequency delay of a second-order Butterworth low-pass, sqrt(2) / (2 pi f), us."""
     return round(1e6 * math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz))

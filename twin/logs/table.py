@@ -25,6 +25,7 @@ from .columns import ALIASES, COLUMNS, EULER, MAX_MOTORS, in_order, is_known, mo
 from .flight import Array, Finding, Flight, Notes
 from .formats import ReadOptions
 from .rotor_lag import as_stamped
+from .stamps import EARLIER
 from .stored import ParquetColumns, StoredFlight, as_log_error, opened
 from .validate import check_columns, validate
 
@@ -58,6 +59,14 @@ def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
         reason = f" ({error})" if isinstance(error, msgspec.ValidationError) else ""
         text = f"what the writer noted cannot be read{reason}"
         return Notes(findings=(Finding("warning", "file", text),))
+    early = [f.where for f in found.findings if EARLIER in f.message]
+    if lost := [w for w in early if w not in found.filter_delays_s]:
+        text = (
+            f"written by a version that did not note by how much {' and '.join(lost)} were set "
+            "earlier: predictions count the delay of their low-pass twice. Convert the log again"
+        )
+        doubt = Finding("warning", "file", text)
+        return replace(found, findings=(*(f for f in found.findings if f != doubt), doubt))
     return found
 
 
@@ -119,8 +128,9 @@ def write_flight(flight: Flight, path: str | Path) -> None:
     """Write the table of a flight; an existing file is replaced.
 
     Args:
-        flight: Flight to write. Parquet stores its notes, CSV cannot, so late rotor speeds return
-            to their original time stamps there, and are corrected again on reading.
+        flight: Flight to write. Parquet stores its notes, CSV cannot, so what was corrected returns
+            to its original time stamps there (`as_stamped`); late rotor speeds are corrected again
+            on reading.
         path: File ending in `.parquet` or `.csv`.
     """
     path = Path(path)

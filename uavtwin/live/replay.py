@@ -17,6 +17,7 @@ from twin.logs import Flight
 from twin.logs.columns import MAX_MOTORS, POS, QUAT, VEL
 from twin.logs.mavlink.encode import attitude, heartbeat, landed, local_position, messages_of
 from twin.logs.mavlink.frames import AUTOPILOT, BAD, Message, dialect, packed, parser
+from twin.logs.rotor_lag import as_stamped
 
 from ..sockets import Address, sending
 
@@ -212,11 +213,12 @@ class Replay:
         self._socket.close()
 
     def play(self, flight: Flight, progress: Callable[[float], None] = lambda _: None) -> Played:
-        """Send a flight from its start to its end.
+        """Send a flight from its start to its end, with the time stamps of its log.
 
         Raises:
             TwinError: The listener does not answer.
         """
+        flight = as_stamped(flight)
         began = self._began_s = time.monotonic()
         first_us, last_us = (BOOT_US + round(1e6 * float(flight.time_s[k])) for k in (0, -1))
         self._first_us, step_us, t_us = first_us, first_us + _STEP_US, first_us

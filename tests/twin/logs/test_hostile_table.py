@@ -120,6 +120,18 @@ def test_what_a_writer_noted_is_checked(tmp_path: Path, noted: Any) -> None:
     assert flight.airframe is None and flight.site is None and flight.autopilot is None
 
 
+@pytest.mark.parametrize("delays", [{}, {"filter_delays_s": {"acc": 0.0225}}])
+def test_a_table_without_the_delay_of_its_low_pass_is_to_be_converted_again(
+    tmp_path: Path, delays: dict[str, Any]
+) -> None:
+    message = "low-passed; its time is 22.5 ms before the time stamp of the log, the delay of it"
+    noted = {"findings": [{"severity": "info", "where": "acc", "message": message}]} | delays
+    table = pa.Table.from_pandas(flight_table())
+    table = table.replace_schema_metadata({b"uavtwin": json.dumps(noted).encode()})
+    found = [f.message for f in read(tmp_path, parquet(table)).findings if f.where == "file"]
+    assert ["Convert the log again" in m for m in found] == ([] if delays else [True])
+
+
 def test_what_is_refused_of_the_autopilot_is_nearly_right(tmp_path: Path) -> None:
     noted = {"autopilot": {"modes": [MODE], "filters": [FILTER], "setpoints": [SETPOINT]}}
     table = pa.Table.from_pandas(flight_table())

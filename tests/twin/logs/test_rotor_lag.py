@@ -11,7 +11,7 @@ from places import DATA, needs
 from scipy.signal import lfilter
 
 from twin.logs import Flight, StoredFlight, open_flight, read_flight
-from twin.logs.columns import motor_columns
+from twin.logs.columns import ACC, GYRO, motor_columns
 from twin.logs.rotor_lag import (
     LEAST_R2,
     LONGEST_DEAD_TIME_S,
@@ -257,6 +257,29 @@ def test_that_speeds_came_late_is_known_of_a_copy(tmp_path: Path, suffix: str) -
     was = was[was["time"] >= known["time"].iloc[0] - 1e-6]
     np.testing.assert_allclose(known["time"], was["time"], atol=2e-6)
     np.testing.assert_array_equal(known[speeds], was[speeds])
+
+
+def test_readings_return_to_their_stamps_in_csv(tmp_path: Path) -> None:
+    """Those of a low-pass that the vehicle has; of each sensor its own."""
+    t_s = np.round(np.arange(400) * 0.004, 6)
+    readings = np.random.default_rng(0).normal(size=(400, 6))
+    delays_s = {"acc": 0.007503, "gyro": 0.002251}
+    stamped = pd.DataFrame(readings, columns=[*ACC, *GYRO])
+    stamped.insert(0, "time", np.round(t_s + 0.1, 6))
+    parts = [pd.DataFrame({"time": t_s, "baro_pa": 101325.0})]
+    for columns, delay_s in zip((ACC, GYRO), delays_s.values(), strict=True):
+        part = stamped[["time", *columns]]
+        parts.append(part.assign(time=np.round(part["time"] - delay_s, 6)))
+    table = pd.concat(parts).groupby("time", as_index=False).first()
+    flight = Flight("corrected", table, filter_delays_s=delays_s)
+    write_flight(flight, tmp_path / "copy.csv")
+    copy = read_flight(tmp_path / "copy.csv")
+    assert copy.filter_delays_s == {} and len(copy.table) == 425  # 400 of baro_pa, 25 after them
+    found_s, values = copy.signal([*ACC, *GYRO])
+    np.testing.assert_allclose(found_s, stamped["time"], atol=2e-6)
+    np.testing.assert_array_equal(values, readings)
+    _, pressure = copy.signal(["baro_pa"])
+    assert len(pressure) == 400
 
 
 def test_what_drives_the_twin_is_said_with_its_reason() -> None:
