@@ -384,6 +384,7 @@ class ExplainRecord(Section, frozen=True, kw_only=True):
         hover: Hover of each flight that hovers.
         not_visible: Effects without a name.
         per_flight: Numbers that differ from their mean in one flight: flight, then "effect.number".
+            One that the headline gives for a flight is here and not in `headline.numbers`.
         unnamed: Equations for what no effect explains.
         where: Channels and phases in which model and flights disagree, the largest first.
         gap: Held-out flights before and after, by channel.

@@ -402,28 +402,30 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     """Change since the calibration, a clause with a final stop."""
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(found) or 0.0)
-        text = f"no change is detectable, {sure} probability."
+        text = f"no change is detectable, {sure} probability.{_varied(naming)}"
         return Headline(text + blind(detectable(found), True, unasked(found)))
     if found.verdict == "unnamed":
-        return Headline(f"the cause of the change is {_outside(found)}.")
+        return Headline(f"the cause of the change is {_outside(found)}.{_varied(naming)}")
     if found.verdict == "named":
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
-        estimates = {e: estimates_of(found, e) for e in effects}
+        determined = {e: _determined_estimates(found, e) for e in effects}
+        estimates = {e: own for e, (own, _) in determined.items()}
         shares = sure_shares(_shares(naming), estimates)
         first, later = leading(effects, shares, _determined(estimates), _striking(estimates))
         parts = [
             _phrase(found, e, estimates[e], 1)
             if (own := stochastic_effect(found, e)) is not None and not own.before
-            else _change(naming, e, estimates[e])
+            else _change(naming, e, *determined[e])
             for e in first
         ]
+        apart = {e for e in first if determined[e][1]}
         text = (
-            f"{joined([p.text for p in parts])}{_sure(found, first)}{later}"
+            f"{joined([p.text for p in parts])}{_sure(found, first)}{_varied(naming, apart)}{later}"
             f"{_what_else(found, effects)}{_doubts(found, estimates)}"
         )
         return Headline(text, tuple(n for p in parts for n in p.numbers))
     if found.balance is not None and (found.balance.one_of or naming.verdict == "nothing"):
-        return Headline(_of_balance(found.balance))
+        return Headline(_of_balance(found.balance) + _varied(naming))
     tied, numbers = [], []
     for fit, p in zip(naming.fitted, naming.probabilities, strict=True):
         if p >= naming.settings.least:
@@ -434,7 +436,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
     if naming.outside > naming.settings.least:
         tied.append(f"a cause outside the library of effects ({certainty(naming.outside)})")
     head = "several causes are" if len(tied) > 1 else "one cause is"
-    text = f"{head} consistent with these flights: {joined(tied, 'or')}."
+    text = f"{head} consistent with these flights: {joined(tied, 'or')}.{_varied(naming)}"
     return Headline(text, tuple(dict.fromkeys(numbers)))
 
 
@@ -485,8 +487,11 @@ def _fitted(naming: Naming, fit: Fit, effect: str) -> list[Estimate]:
     return fitted_estimates(fit, naming.problem.priors, effect)
 
 
-def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headline:
-    """Clause on the change of an effect since the calibration, with alternative rotors."""
+def _change(
+    naming: Naming, effect: str, estimates: Sequence[Estimate], flight: str = ""
+) -> Headline:
+    """Clause on the change of an effect since the calibration, with alternative rotors; `flight`:
+    as of `_phrase`."""
     change = {t.number.name: t.change for t in estimates if t.determined}
     if not change:
         return Headline(f"{title(effect)} has changed")
@@ -497,6 +502,8 @@ def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headl
     named = {r for r in rotors if f"rotor {r} " in words}
     if len(rotors) > 1 and named:
         words += f" (or another one of rotors {joined(sorted(rotors), 'and')})"
+    if flight:
+        return Headline(f"{words} in {flight}, and changes between flights")
     return Headline(words, tuple(f"{effect}.{name}" for name in numbers))
 
 

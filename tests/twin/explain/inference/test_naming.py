@@ -33,7 +33,7 @@ from twin.physics.airframe import airframe
 from twin.physics.sensors.barometer import barometer
 from twin.physics.sensors.magnetometer import magnetometer
 from twin.residuals.channels import CHANNEL_HZ, ChannelData
-from twin.vehicle.vehicle import first_reaching, hover_level, polynomial, voltage_power
+from twin.vehicle.vehicle import Calibration, first_reaching, hover_level, polynomial, voltage_power
 from twin.vehicle_file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.headline import headline
@@ -333,6 +333,40 @@ def test_a_compass_that_is_turned_between_flights_is_told_by_flights(
     assert "Between these flights differs heading offset (\N{MINUS SIGN}58.9° in a and" in nothing
     usual = np.ones(len(naming.problem.usual))  # rad: none of them is far from the mean then
     assert replace(unsure, problem=replace(naming.problem, usual=usual)).named == ()
+
+
+@pytest.mark.slow
+def test_a_compass_that_is_turned_since_a_calibration_is_told_by_flights(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of flights since a calibration as well, whatever the verdict."""
+    monkeypatch.setattr(search, "candidates", lambda *_: [EFFECTS["heading_offset"]])
+    iron = {"mag_hard_iron": {"x_t": 6e-6, "y_t": -4e-6, "z_t": 3e-6}}
+    before = Calibration(("old",), ("heading_offset.yaw_rad",), np.array([[1e-4]]), {}, {})
+    vehicle = replace(COPTER.with_effects(iron), calibration=before)
+
+    def said(mounted: dict[str, float], wider: float) -> tuple[str, tuple[str, ...]]:
+        flights = [replace(turned(2, m), name=f) for f, m in mounted.items()]
+        naming = name_effects(flights, vehicle, since=True)
+        wide = naming.conditional.half_widths + wider
+        naming = replace(naming, conditional=replace(naming.conditional, half_widths=wide))
+        found = Explanation(
+            naming.verdict, vehicle, tuple(mounted), naming=naming, shown=naming.shown
+        )
+        made = headline(replace(found, since=("old",)))
+        return made.text, made.numbers
+
+    text, numbers = said({"a": 0.0, "b": 1.2}, 0.0)
+    assert "its heading is off by another" in text and "in b, and changes" not in text
+    assert numbers == ("heading_offset.yaw_rad",)
+    assert "Between these flights differs heading offset" in text
+    text, numbers = said({"a": 0.0, "b": 1.2}, 3.0)
+    assert "its heading is off by another 68.7° (± " in text
+    assert " in b, and changes between flights" in text and "Between these" not in text
+    assert numbers == ()
+    text, _ = said({"a": -1.3, "b": 0.1, "c": 1.4}, 0.0)
+    assert "no change is detectable" in text
+    assert "Between these flights differs heading offset (+80.2° in c and" in text
 
 
 @pytest.mark.slow
